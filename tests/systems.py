@@ -171,17 +171,22 @@ BELT_OSCILLATOR = vj.System(
 )
 """The friction oscillator of Stender and Hoffmann, bSTAB (Nonlinear Dynamics 2021)."""
 
-LORENZ = vj.System(
-    "lorenz",
-    states={"x": "1", "y": "1", "w": "1"},
-    parameters={"r": 28.0},
-    field=lambda t, y, p: {
-        "x": 10.0 * (y["y"] - y["x"]),
-        "y": y["x"] * (1.0 - y["w"]) - y["y"],
-        "w": y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0),
-    },
-    section="w",
-)
+
+def lorenz(section):
+    return vj.System(
+        "lorenz",
+        states={"x": "1", "y": "1", "w": "1"},
+        parameters={"r": 28.0},
+        field=lambda t, y, p: {
+            "x": 10.0 * (y["y"] - y["x"]),
+            "y": y["x"] * (1.0 - y["w"]) - y["y"],
+            "w": y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0),
+        },
+        section=section,
+    )
+
+
+LORENZ = lorenz("w")
 """The system of Lorenz, J. Atmospheric Sciences 20 (1963) 130. The section is where w = z - (r - 1) rises to 0."""
 
 

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from systems import IMPACT_OSCILLATOR, LORENZ, oscillator_orbits
+from systems import IMPACT_OSCILLATOR, LORENZ, lorenz, oscillator_orbits
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -22,11 +22,17 @@ def lanes_of_each_nature():
     return vj.run_sweep(LANES, progress=False).squeeze("start")
 
 
-def test_lorenz():
-    """Compare the mean of 32 lanes with 0.9056 (Sprott, Chaos and Time-Series Analysis, 2003)."""
-    starts = {"sample": "random", "count": 32, "seed": 0, "box": {"x": [1, 10], "y": [1, 10], "w": [-10, 10]}}
+CURVED = lambda t, y, p: y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0)  # noqa: E731
+
+
+@pytest.mark.parametrize(("section", "count"), [("w", 32), (CURVED, 8)], ids=["plane", "curved"])
+def test_lorenz(section, count):
+    """Compare the mean of some lanes with 0.9056 (Sprott, Chaos and Time-Series Analysis, 2003), on any section."""
+    starts = {"sample": "random", "count": count, "seed": 0, "box": {"x": [1, 10], "y": [1, 10], "w": [-10, 10]}}
     run = {"settle": 20.0, "observe": 20.0, "lyapunov": True}
-    lanes = vj.run_sweep({"scene": LORENZ, "grid": {"r": [28.0]}, "starts": starts, "run": run}, progress=False)
+    lanes = vj.run_sweep(
+        {"scene": lorenz(section), "grid": {"r": [28.0]}, "starts": starts, "run": run}, progress=False
+    )
     assert abs(float(lanes.lyapunov.mean()) / 0.9056 - 1) < 0.015
     assert (lanes.nature == NATURES.index("chaotic")).all() and (lanes.zero_one > 0.9).all()
     deviation = (lanes.lyapunov - 0.9056) / lanes.lyapunov_stderr

@@ -10,6 +10,7 @@ from systems import IMPACT_OSCILLATOR, SHAKEN, friction_stops, oscillator_double
 from test_follow import eigenvalue
 
 import vibrojax as vj
+from vibrojax.explorer import contents_of
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.problem import FAMILY_ACCURACY
 from vibrojax.periodic.return_map import Segments
@@ -212,6 +213,12 @@ def test_sticking_bit_slips_when_impact_force_ends():
         parameters |= {"beta": curve.beta.values, "gamma": curve.gamma.values + step}
         counts.append(return_map(parameters, orbits).seen.mode_changes)
     assert (counts[0] != counts[1]).any(axis=(0, 1)).all()
+    # The page shows the orbit of each point, which is chosen in the plot of the curves.
+    page = contents_of(ds)
+    motions = list(page.cells)
+    assert page.document["map"] is False and page.document["figure"]["plots"][0]["x"]["direction"] == "point:gamma"
+    assert {motion.kind for motion in motions} == {"orbit"}
+    np.testing.assert_allclose([motion.duration for motion in motions], ds.period * ds.cycles, rtol=1e-6)
 
 
 def test_hopf_points_follow_linear_stability_of_sliding():

@@ -19,7 +19,7 @@ from matplotlib.colors import Normalize
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, page_text, write_page
+from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, page_text, write, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
@@ -325,6 +325,16 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     look = {"shape": "line", "colour": "#112233", "dash": line["dash"], "marker": "s", "hollow": False}
     assert law == {"text": "law"} | look and line["label"] == "law"
     json.dumps(document, allow_nan=False)
+
+
+def test_modules_share_one_scope_without_clashes() -> None:
+    """The modules of a page are one script, in which the later of two functions of a name would replace the other."""
+    folder = Path(write.__file__).parent / "page"
+    defined = r"^(?:export )?(?:async )?(?:function\*?|class|const|let) (\w+)"
+    for more in (("begin.js", "served.js", *write.LIVE_MODULES), ("begin.js", "page.js"), ("widget.js",)):
+        text = "".join((folder / name).read_text(encoding="utf-8") for name in (*write.MODULES, *more))
+        names = re.findall(defined, text, re.MULTILINE)
+        assert len(names) > 100 and {name for name in names if names.count(name) > 1} == set()
 
 
 def test_plots_of_a_page_have_the_labels_that_panels_share() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from xml.etree.ElementTree import fromstring
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from browser import chromium, new_page, wait_for
@@ -459,3 +460,22 @@ def test_legend_of_family_lists_what_occurs_in_visible_colours(browser: Any, tmp
         plot.press("ArrowRight")  # reads the first value that is seen, not one beside the zoom
         read = reopened.page.locator(".vx-figure .vx-tip").first.inner_text().split()[-2]
         assert 0.95 <= float(read) <= 1.05
+
+
+def test_tracks_of_rig_log_choose_rows(browser: Any, tmp_path: Path) -> None:
+    """A log has no map: its plots choose a row, by pointer and by keys; its numbers have the units of the tracks."""
+    depth = np.linspace(1500.0, 1510.0, 41)
+    log = {"Depth (m)": depth, "WOB (kN)": 100.0 + depth % 7, "RPM (rpm)": 120.0, "Torque (kN.m)": 5.0 + depth % 3}
+    ds = vj.rig(pd.DataFrame(log | {"ROP (m/h)": 20.0 + depth % 5}), columns={"bit_diameter": "8.5 in"})
+    with _open(browser, ds, tmp_path / "rig.html") as opened:
+        title, numbers = opened.page.locator(".vx-cellhead h2"), opened.page.locator("[data-name=rate_of_penetration]")
+        assert not opened.page.locator(".vx-map").is_visible() and "depth = 1505 m" in title.inner_text()
+        assert numbers.inner_text() == "20 m/h"
+        track = opened.page.locator(".vx-tracks canvas[role=img]").nth(1)
+        x, y = track.evaluate("c => [(c.frame.box.left + c.frame.box.right) / 2, c.frame.y(1502.25)]")
+        track.click(position={"x": x, "y": y})
+        assert "depth = 1502.3 m" in title.inner_text() and numbers.inner_text() == "22.25 m/h"
+        cloud = opened.page.locator(".vx-figure canvas[role=img]").first
+        for key in ("ArrowRight", "End", "Enter"):
+            cloud.press(key)
+        assert "depth = 1510 m" in title.inner_text()

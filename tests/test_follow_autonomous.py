@@ -133,6 +133,8 @@ def test_family_begins_at_a_given_orbit():
     here = np.flatnonzero(family.m.values == -0.1)
     assert np.abs(family.orbit_x.values[here]).min() == pytest.approx(np.sqrt(square), abs=1e-9)
     assert {"hopf", "fold", "end"} == kinds(family)
+    twice = vj.follow(SUBCRITICAL, orbit=begin | {"period": 2 * 4.18}, **settings)
+    assert (twice.cycles == 1).all() and points(twice, "fold") == [(0, pytest.approx(points(family, "fold")[0][1]))]
     with pytest.raises(vj.InputError, match="no periodic orbit near these states"):
         vj.follow(SUBCRITICAL, orbit={"states": [0.0, 3.0, 1.0], "period": 1.0}, **settings)
 

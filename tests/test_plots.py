@@ -54,6 +54,7 @@ from vibrojax.pictures.returns import bifurcation
 from vibrojax.pictures.style import NO_VALUE
 from vibrojax.studies.analysis import analysis_named, analysis_of
 from vibrojax.studies.choose import picture, save_picture
+from vibrojax.studies.rop_law import fit_rop
 
 # One picture per rule.
 
@@ -503,12 +504,15 @@ def test_hertz_is_used_only_for_frequencies(name, long_name, symbol, unit, shown
 
 
 def test_rows_beyond_the_panel_of_a_fit_are_counted():
-    """The fitted rows set the limits; the legend counts the other rows above the panel and at its right."""
-    uses = {"flag_values": np.arange(4), "flag_meanings": "fitted censored above-founder left-out"}
-    data = {"relief": [0.5, 1.0, 1.5, 1.0, 9.0, 1.2], "rate_of_penetration": [0.1, 0.2, 0.3, 5.0, 0.2, 0.2]}
-    fit = law({}).assign({f"data_{name}": ("lane", values) for name, values in data.items()})
-    fit["data_use"] = ("lane", [0, 0, 0, 3, 3, 3], uses)
-    assert "left out of the fit,\n2 beyond the panel" in labels(sheet_of(fit)) and "data" in labels(sheet_of(fit))
+    """The fitted rows set the limits; the axis counts the failed ones above the panel and at its right."""
+    data = {
+        "relief": [0.5, 1.0, 1.5, 1.2, 1.0, 9.0, 1.2],
+        "rate_of_penetration": [0.1, 0.2, 0.3, 0.25, 5.0, 0.2, 0.2],
+        "status": [0, 0, 0, 0, 1, 1, 1],
+    }
+    fit = fit_rop(xr.Dataset({name: ("frequency", values) for name, values in data.items()}), progress=False)
+    (plot,) = sheet_of(fit).plots
+    assert plot.x.label == "relief P/D\n2 beyond" and {"data", "left out of the fit"} <= {*labels(sheet_of(fit))}
 
 
 # Figures and files.

@@ -8,7 +8,7 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.explorer import contents_of
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
-from vibrojax.studies.push import Pushes, push_lines
+from vibrojax.studies.push import Pushes
 
 PARAMETERS = {"beta": 0.4, "delta": 0.005}
 STATES = ("x1", "v1", "x2", "v2")
@@ -56,7 +56,7 @@ def test_smallest_push_leaves_and_next_smaller_returns(strong_cycle):
 
 def test_page_shows_motions_on_cycle_and_after_push(strong_cycle):
     """The one push that leaves has a lane of its own; all other directions return to the working cycle."""
-    machine, sweep = Pushes().page_lanes(strong_cycle)
+    machine, sweep = Pushes().page_cells(strong_cycle)
     assert machine.lane_number.dims == ("sign", "motion")
     assert machine.lane_number.values.tolist() == [[0] * 5, [0, 1, 0, 0, 0]]
     assert machine.regime.values.tolist() == [[SINGLE_IMPACT] * 5, [SINGLE_IMPACT, IRREGULAR, *[SINGLE_IMPACT] * 3]]
@@ -110,7 +110,7 @@ def test_push_command(strong_cycle, tmp_path, capsys, monkeypatch):
     )
     stored = vj.open_dataset(tmp_path / "vibro-impact-push.nc")
     np.testing.assert_array_equal(stored.push_x1, strong_cycle.push_x1)
-    assert push_lines(stored) == push_lines(strong_cycle)
+    assert Pushes().summary(stored) == Pushes().summary(strong_cycle)
     assert main(["info", "vibro-impact-push.nc"]) == 0
     capsys.readouterr()
     other = ["push", "vibro-impact", *words[:-1], "scan=16"]

@@ -57,6 +57,12 @@ def test_extremes_and_shares(box):
     assert float(box.irregular_share[0]) == 0.0 and "not bounds of the box" in box.attrs["extremes"]
 
 
+def test_page_has_the_motion_of_each_sample(box):
+    points, sweep = analysis_of(box).page_cells(box)
+    assert sweep.lanes == points.sizes["point"] * points.sizes["start"] == box.regime.size
+    assert (sweep.points["delta"] == box.delta.values).all() and (sweep.points["gamma"] == box.gamma.values).all()
+
+
 def closed_form(units):
     """Return lanes whose impact velocity is least inside the box and greatest at a corner, and whose period is odd."""
     x, y = units[:, :1] - 0.37, units[:, 1:] + 0.21

@@ -141,7 +141,7 @@ def test_parameters_are_converted_and_stay_coordinates(tmp_path):
             'wob: is not a quantity of rig data; did you mean "weight_on_bit"? choose from rate_of_penetration, '
             f"relief, mean_force, threshold, rock, {', '.join([*RIG, *(x for x in KNOWN if x not in LAW | RIG)])}",
         ),
-        ("Rate (m/h),WOB", {}, 'missing; if "Rate (m/h)" is it, rename it, or name it: --columns rate_of_penetration='),
+        ("Rate (m/h),WOB", {}, 'missing; if "Rate (m/h)" is it, name it with its unit: --columns rate_of_penetration='),
     ],
 )
 def test_wrong_columns_are_refused_in_one_line(tmp_path, header, columns, line):
@@ -223,7 +223,7 @@ def test_command_prints_tables_and_writes_fit(tmp_path, monkeypatch, capsys):
     assert printed[4].startswith("  onset") and "0.0013 ± " in printed[4]
     assert printed[9] == "force=300000 N: 8 lanes along frequency"
     assert "all groups together: the data support onset" in printed
-    assert "the log law holds in 2 of 2, as onset in 2" in printed
+    assert "the log law is not rejected in 2 of 2, as onset in 2" in printed
     assert printed[-3] == "  force=200000 N: C = 0.0013 m/s (0.0013 to 0.0013), onset"
     assert printed[-1] == "map-fit.nc; picture map-fit.png"
     stored = open_dataset("map-fit.nc")

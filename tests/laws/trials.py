@@ -5,16 +5,28 @@ between neighbouring rows, and 3 % of the rows are outliers.
 """
 
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
+import jaxtyping
 import numpy as np
-from unchecked import unchecked
 
 from vibrojax.studies.rop_forms import BLOCK_LIMIT, supported
 from vibrojax.studies.rop_group import NAMES, fit_lanes
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "notebooks"))
 import rig_logs
+
+
+@contextmanager
+def unchecked():
+    """Skip run-time type checks, which take longer than the fits of many data sets. Single fits are checked."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        yield
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
+
 
 FORMATIONS = (15 / 3600, 40e3), (8 / 3600, 60e3)  # C [m/s], D [N]
 FOUNDER, ETA0, EXPONENT = 160e3, 0.75, 2.0

@@ -328,20 +328,19 @@ def fit(options: Options) -> None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
     from vibrojax.io.log_columns import read_columns
     from vibrojax.io.riglog import log_lines
-    from vibrojax.studies.rop_law import fit_groups, read_groups
+    from vibrojax.studies.rop_law import USES, fit_rop
     from vibrojax.studies.rop_results import law_facts, tables
 
     file, columns, by = Path(options.file), read_columns(given), options.by or []
     reading = {"where": options.where, "nulls": options.nulls}
-    groups = read_groups(options.file, options.along, by, columns, **reading)
-    if groups["valid"].any() and not (groups["valid"] & (groups["rate"] > 0)).any():
-        lanes = counted(int(groups["is_lane"].sum()), "lane")
+    with timed("fit"):
+        law = fit_rop(options.file, options.along, by, progress=False, columns=columns, **reading)
+    if (law["data_use"] == USES.index("censored")).any() and not (law["data_use"] == USES.index("fitted")).any():
+        lanes = counted(int((law["data_use"] > 0).sum()), "lane")
         more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
         raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
     identity = {"data": _digest(file), "along": options.along, "by": ", ".join(by), **_given(reading), "fit": True}
     identity |= {f"columns.{name}": text for name, text in columns.items()}
-    with timed("fit"):
-        law = fit_groups(groups)
     ds = result(options, f"{file.stem}-fit.nc", identity, lambda _: nullcontext(law), reused=False)
     facts = law_facts(law)
     sources = log_lines(law)

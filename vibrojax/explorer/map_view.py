@@ -162,13 +162,15 @@ def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> d
             leaves = (ds["regime"] != ds["regime"].isel(motion=0)).isel(first)
             first["motion"] = int(leaves.any([name for name in leaves.dims if name != "motion"]).argmax("motion"))
         return first
+    if "place" in ds and contents.POINT in ds.dims:  # of a tolerance box: the nominal point
+        return {contents.POINT: 0}
     if {"share", "lane_attractor"} <= set(ds.variables):
         middle = {str(name): size // 2 for name, size in ds["share"].sizes.items() if name != "attractor"}
         return middle | {"attractor": int(ds["share"].isel(middle).argmax("attractor"))}
     regime = next((variable for variable in variables if variable["name"] == "regime" and variable["flags"]), None)
     flag = next((key for key, name in (regime or {"flags": {}})["flags"].items() if name == "single-impact"), None)
     if regime is None or flag is None:
-        return {}
+        return {contents.POINT: ds.sizes[contents.POINT] // 2} if contents.POINT in ds.dims else {}
     names = regime["axes"]
     single = ds["regime"].transpose(*names).values == int(flag)
     if "stable" in ds and set(ds["stable"].dims) == set(names):

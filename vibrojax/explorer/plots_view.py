@@ -103,7 +103,7 @@ def _plots(
         for axis in axes
         for column in axis["columns"] or [axis]
     }
-    directions = {name: way for name, way in columns.items() if name in ds.variables and ds[name].dtype.kind in "fiu"}
+    directions = {n: way for n, way in columns.items() if n in ds.variables and (maps or ds[n].dtype.kind in "fiu")}
     titles: dict[int, str] = {}
     # In a picture, panels share the labels at the left and at the bottom; on the page each has its own.
     ups = {plot.span[0]: plot.y.label for plot in reversed(part.plots) if plot.y.label and plot.y.ticks is None}

@@ -4,7 +4,7 @@ The analysis of the dataset's kind states the `view`: a map, families, a single 
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -29,7 +29,7 @@ from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.recording import Excerpt, cell_of, record_cells
-from vibrojax.io.attributes import parameters_of, run_of, text_of
+from vibrojax.io.attributes import flags, parameters_of, run_of, text_of
 from vibrojax.io.dataset import check_dataset
 from vibrojax.io.kinds import kind_of
 from vibrojax.io.variables import orbit_name
@@ -52,8 +52,10 @@ from vibrojax.pictures.branches import (
     with_selected_families,
 )
 from vibrojax.pictures.contents import FORM, START, long_axes
+from vibrojax.pictures.overlays import axes_of
 from vibrojax.pictures.starts import described
 from vibrojax.progress import LOG
+from vibrojax.scenes import SCENES
 from vibrojax.studies.analysis import analysis_of
 
 PAGE_MAX_LANES = 40_000
@@ -93,7 +95,7 @@ def contents_of(
         view = analysis_of(ds).view_of(ds)
     check_names(ds)
     if over is not None:
-        if view in ("families", "motion", "plots"):
+        if view in ("families", "orbits", "motion", "plots"):
             raise InputError("over: borders and curves need the map of a sweep, which the dataset does not hold")
         check_dataset(over)
     cells: Iterable[Cell] = ()
@@ -101,15 +103,20 @@ def contents_of(
         document, cells = _motion_document(ds), map(cell_of, [ds], [0])
     elif view == "families":
         ds = with_selected_families(ds)
-        document, cells = family_document(ds), family_cells(ds)
+        document, cells = family_document(ds), orbit_cells(ds)
         document["figure"] = _picture_document(ds, document)
-    elif (lanes := analysis_of(ds).page_lanes(ds)) is not None:
-        document = map_document(*lanes)
-        document["figure"] = figure_document(analysis_of(ds).page_figures(ds), lanes[0], document["axes"], maps=True)
-        document["without"] = _rerun_problem(lanes[1])
-        cells = lane_cells(lanes[1], progress)
+    elif view == "orbits" and text_of(ds, "scene") in SCENES:
+        document, cells = curves_document(ds), orbit_cells(ds)
+    elif (held := analysis_of(ds).page_cells(ds)) is not None:
+        document = map_document(*held)
+        document["figure"] = figure_document(analysis_of(ds).page_figures(ds), held[0], document["axes"], maps=True)
+        if held[1] is None:
+            document["map"] = False
+        else:
+            document["without"] = _rerun_problem(held[1])
+            cells = lane_cells(held[1], progress)
     else:
-        document, cells = _map_contents(ds, over, own, progress) if view != "plots" else ({}, ())
+        document, cells = _map_contents(ds, over, own, progress) if view not in ("plots", "orbits") else ({}, ())
         document = document or _plots_document(ds)
     return Contents(ds, document | {"summary": summary_parts(ds)}, cells)
 
@@ -254,37 +261,58 @@ LEADING_ORBIT_VARIABLES = ("impact_velocity", "bit_amplitude", "multiplier_abs",
 
 def family_document(ds: xr.Dataset) -> Document:
     """Return the JSON document of families, given the dataset of `follow`."""
-    along, point, count = along_name(ds), _base_point(ds), ds.sizes["point"]
-    columns = [coordinate_document(ds[along])]
-    for name, values in family_coordinates(ds, "point").items():
-        columns.append(coordinate_document(xr.DataArray(values, dims="point", name=name, attrs=ds[name].attrs)))
+    family = _branches(ds)
+    # The middle of the longest stable stretch, or of the longest one if none is stable.
+    longest = max(family["runs"], key=lambda run: (run["stable"] == 1, len(run["points"])), default={"points": [0]})
+    middle = int(longest["points"][len(longest["points"]) // 2])
+    return _orbits_document(ds, family=family, view=[f"point:{along_name(ds)}"], first={"point": middle})
+
+
+def curves_document(ds: xr.Dataset) -> Document:
+    """Return the JSON document of curves of special points; each point is the orbit at which the motion changes."""
+    kinds = flags(ds["kind"])
+    names = [f"{k} ({kinds[int(ds['kind'][k])]})" for k in ds["point_curve"].values.tolist()]
+    curve = coordinate_document(xr.DataArray(names, dims="point", name="curve"))
+    document = _orbits_document(ds, [curve], map=False, first={"point": int((ds["point_curve"] == 0).sum()) // 2})
+    document["figure"] = figure_document(analysis_of(ds).page_figures(ds), ds, document["axes"], maps=True)
+    return document
+
+
+def _orbits_document(ds: xr.Dataset, names: Sequence[Document] = (), **parts: object) -> Document:
+    """Return the JSON document of periodic orbits along `point`; `names`: descriptions of columns of names."""
+    point, count, varied = _base_point(ds), ds.sizes["point"], _varied(ds)
+    columns = [
+        coordinate_document(xr.DataArray(values, dims="point", name=name, attrs=ds[name].attrs))
+        for name, values in varied.items()
+    ]
     for name in point.system.start_states:
         values = ds[orbit_name(name)].values if orbit_name(name) in ds else np.zeros(count)
         column = xr.DataArray(values, dims="point", name=f"start_{name}")
         columns.append(coordinate_document(column) | {"silent": True})
-    names = [str(name) for name, data in ds.data_vars.items() if "point" in data.dims and data.dtype.kind in "fiu"]
-    names = [name for name in names if name not in (along, "point_family")]
-    names = [name for name in LEADING_ORBIT_VARIABLES if name in names] + names
-    variables = [variable_document(ds[name]) for name in dict.fromkeys(names)]
+    of_points = [str(name) for name, data in ds.data_vars.items() if "point" in data.dims and data.dtype.kind in "fiu"]
+    of_points = [name for name in of_points if name not in varied and not name.startswith("point_")]
+    of_points = [name for name in LEADING_ORBIT_VARIABLES if name in of_points] + of_points
     axis = coordinate_document(xr.DataArray(np.arange(count), dims="point", name="point"))
     # The command starts on the orbit, so no settling time is needed.
     run = run_document(ds) | {"start": None, "duration": 2.0}
     if point.system.driving_part() is not point.system:
         run["states"] = []
-    family = _branches(ds)
-    # The middle of the longest stable stretch, or of the longest one if none is stable.
-    longest = max(family["runs"], key=lambda run: (run["stable"] == 1, len(run["points"])), default={"points": [0]})
     return document_with(
         ds,
         "family",
-        variables,
-        axes=[axis | {"columns": columns}],
+        [variable_document(ds[name]) for name in dict.fromkeys(of_points)],
+        axes=[axis | {"columns": [*columns, *names]}],
         lanes=pack(np.arange(count, dtype=np.int32)) | {"axes": ["point"]},
         run=run,
-        family=family,
-        view=[f"point:{along}"],
-        first={"point": int(longest["points"][len(longest["points"]) // 2])},
+        **parts,
     )
+
+
+def _varied(ds: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return the parameters that vary along families or curves of orbits: their values at each point by name."""
+    if kind_of(ds) == "curves":
+        return {name: ds[name].values for name in axes_of(ds)}
+    return {along_name(ds): ds[along_name(ds)].values} | family_coordinates(ds, "point")
 
 
 def _branches(ds: xr.Dataset) -> Document:
@@ -303,13 +331,12 @@ def _branches(ds: xr.Dataset) -> Document:
     return {"runs": stretches, "special": special, "kinds": colours}
 
 
-def family_cells(ds: xr.Dataset) -> Iterator[Cell]:
-    """Yield the recorded orbits of families, in the order of their points."""
+def orbit_cells(ds: xr.Dataset) -> Iterator[Cell]:
+    """Yield the recorded orbits of families or curves, in the order of their points."""
     point = _base_point(ds)
     scene, count = point.system, ds.sizes["point"]
     driving = scene.driving_part()
-    varied = family_coordinates(ds, "point") | {along_name(ds): ds[along_name(ds)].values}
-    values = with_substitutes(scene, point.parameters | varied)
+    values = with_substitutes(scene, point.parameters | _varied(ds))
     parameters = {name: np.broadcast_to(values[name], count).astype(float) for name in point.parameters}
     state = np.zeros((len(scene.states), count))
     for name in driving.return_states:

@@ -2,15 +2,19 @@
 
 import errno
 import os
+import re
 import stat
+import warnings
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import BinaryIO
 
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, nearest, shown
 
 LARGEST = 512 * 2**20
 """Greatest size of a text file [bytes], a log of ten million rows or so."""
+
+_NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]|\A(\xff\xfe|\xfe\xff)")  # control characters, or UTF-16
 
 
 def memory() -> float | None:
@@ -55,6 +59,35 @@ def read_regular(path: Path, most: int = LARGEST) -> bytes:
     if len(content) > most:
         raise InputError(f"{path}: is larger than {most // 2**20} MiB; give a part of it, or a dataset (.nc)")
     return bytes(content)
+
+
+def read_text(path: Path, windows: bool = False) -> str:
+    """Return the text of a file that the user specified, without a byte order mark.
+
+    `windows`: whether the file may be in Windows-1252, as exports of older software are; a warning then says so.
+
+    **Raises:** `InputError` if the file cannot be read.
+    """
+    content = b""
+    try:
+        content = read_regular(path)
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        if windows and not _NOT_TEXT.search(content):
+            warnings.warn(f"{path}: not UTF-8 (byte {error.start}), read as Windows-1252", stacklevel=2)
+            return content.decode("cp1252", "replace")
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    except FileNotFoundError:
+        similar = [other.name for other in path.parent.glob(f"*{path.suffix}")] if path.parent.is_dir() else []
+        best = nearest(path.name, similar)
+        hint = f" (did you mean {shown(best)}?)" if best else ""
+        raise InputError(f"{path}: no such file; give the path of one that is there{hint}") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; give the path of a file") from None
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: the path contains a null character
+        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
 def size_text(size: int | float) -> str:

@@ -102,8 +102,8 @@ def read_columns(words: list[str]) -> dict[str, str]:
     """
     columns: dict[str, str] = {}
     for word in words:
-        name, equals, text = (part.strip() for part in word.partition("="))
-        if not equals or not name or not text:
+        name, _, text = (part.strip() for part in word.partition("="))
+        if not name or not text:
             raise InputError(f'--columns: {shown(word)} is not NAME=COLUMN; write one, like {RATE}="ROP (m/h)"')
         if name in columns:
             raise InputError(f"--columns: {name}: {shown(text)} is a second column; give one")
@@ -115,20 +115,20 @@ def checked_columns(columns: object) -> dict[str, str]:
     """Return the user's `columns`, checked, with the threshold of a `rock` in its place; raise `InputError`."""
     if columns is not None and not isinstance(columns, Mapping):
         raise InputError(f'columns: {shown(columns)} does not name columns; give a dict like {{"{RATE}": "ROP (m/h)"}}')
-    columns = dict(columns or {})
+    columns, choices = dict(columns or {}), dict.fromkeys((*LAW, "rock", *RIG, *KNOWN))
     for name, text in columns.items():
-        here, choices = Place("columns", str(name)), dict.fromkeys((*LAW, "rock", *RIG, *KNOWN))
+        here = Place("columns", str(name))
         if name not in choices:
             like = _QUANTITIES.get(normalised(str(name))) or nearest(str(name), choices)
             hint = f"did you mean {shown(like)}? " if like else ""
             raise here.error(f"is not a quantity of rig data; {hint}choose from {', '.join(choices)}")
         if not isinstance(text, str) or not text.strip():
             raise here.error(f'{shown(text)} is not a column; write one with its unit, like {name}="ROP (m/h)"')
-    if "rock" in columns:
-        place, rock = Place("columns", "rock"), columns.pop("rock").strip()
+    if rock := columns.pop("rock", "").strip():
+        place, given = Place("columns", "rock"), {THRESHOLD, RELIEF} & set(columns)
         if rock not in ROCKS:
             raise place.error(f"{shown(rock)} is not a rock of the source; {suggestion(rock, ROCKS)}")
-        if given := {THRESHOLD, RELIEF} & set(columns):
+        if given:
             raise place.error(f"gives the {THRESHOLD}, and {given.pop()} is given too; give one of them")
         columns[THRESHOLD] = f"{ROCKS[rock].threshold:g} N"
     return columns
@@ -170,12 +170,15 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
 
     `place` is the location of the `header` in the file. Parameters of scenes need a unit or the user's word.
     """
-    chosen = {name: _user_column(Place("columns", name), header, name, text) for name, text in columns.items()}
-    taken = {column.index: name for name, column in reversed(chosen.items()) if column.index is not None}
-    for name, column in chosen.items():
-        if column.index is not None and taken[column.index] != name:
-            fault = f"column {shown(column.header)} is {taken[column.index]} already; give another"
-            raise Place("columns", name).error(fault)
+    chosen: dict[str, Column] = {}
+    taken: dict[int, str] = {}
+    for name, text in columns.items():
+        here = Place("columns", name)
+        chosen[name] = column = _user_column(here, header, name, text)
+        if column.index in taken:
+            raise here.error(f"column {shown(column.header)} is {taken[column.index]} already; give another")
+        if column.index is not None:
+            taken[column.index] = name
     notes: list[str] = []
     is_field = any(normalised(cell) == _FIELD_SIGN for cell in header)
     recognised = [(*recognise(cell), index, cell) for index, cell in enumerate(header) if cell and index not in taken]
@@ -184,9 +187,10 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
     for quantity, unit, index, cell in sorted(known, key=lambda item: (not is_own(item[3], item[0]), item[1] is None)):
         name = str(quantity)
         si = KNOWN[name].unit
+        if name in columns:
+            continue
         if name in chosen:
-            if name not in columns:
-                notes.append(f"{name}: column {shown(cell)} is another one, and is left out")
+            notes.append(f"{name}: column {shown(cell)} is another one, and is left out")
         elif unit and factor(unit, si) is None and name not in (*LAW, WEIGHT, DEPTH):
             notes.append(f"{name}: column {shown(cell)} is in {shown(unit)}, not a unit of {name}, and is left out")
         else:
@@ -240,9 +244,7 @@ def _user_column(place: Place, header: list[str], name: str, text: str) -> Colum
         if (problem := KNOWN[name].problem(value)) is not None:
             raise place.error(problem)
         return replace(column, value=value)
-    like = nearest(base, header)
-    hint = f"did you mean {shown(like)}?" if like else f"the file has {', '.join(map(shown, header))}"
-    raise place.error(f"the file has no column {shown(text)}; {hint}")
+    raise place.error(f"the file has no column {shown(text)}; {suggestion(base, header)}")
 
 
 def _column(place: Place, name: str, header: str, index: int | None, unit: str | None) -> Column:

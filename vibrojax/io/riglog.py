@@ -13,42 +13,13 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError, Place, counted, shown, suggestion
+from vibrojax.io import log_columns as known
+from vibrojax.io import tables
 from vibrojax.io.attributes import attribute_of, table_of, text_of
-from vibrojax.io.log_columns import (
-    BIT_DEPTH,
-    DATE,
-    DEPTH,
-    KNOWN,
-    LINE,
-    NUMBER,
-    RATE,
-    RELIEF,
-    RIG,
-    ROTATION_SPEED,
-    TIME,
-    WEIGHT,
-    Column,
-    checked_columns,
-    choose_columns,
-    is_own,
-    likely_words,
-    normalised,
-    recognise,
-    split_unit,
-)
-from vibrojax.io.tables import (
-    MOST_LISTED,
-    ambiguous_commas,
-    cells_of,
-    decimal_mark,
-    is_number,
-    line_ranges,
-    read_cells,
-    to_numbers,
-)
+from vibrojax.io.log_columns import DEPTH, KNOWN, LINE, RATE, ROTATION_SPEED, TIME, WEIGHT, Column
 from vibrojax.physics.units import UNITS, factor
 
 NULLS = frozenset(
@@ -83,7 +54,11 @@ Mask: TypeAlias = Bool[np.ndarray, " rows"]
 
 
 def read_log(
-    path: Source, columns: Mapping[str, str] | None = None, where: Where = None, nulls: Nulls = None
+    path: Source,
+    columns: Mapping[str, str] | None = None,
+    where: Where = None,
+    nulls: Nulls = None,
+    needed: Collection[str] = tuple(KNOWN),
 ) -> pd.DataFrame:
     """Read a rig log as it was exported (CSV, LAS, WITSML, xlsx) into a table in SI units.
 
@@ -98,6 +73,7 @@ def read_log(
     - `where`: one or several conditions that rows must meet: "WOB (klb) < 35", "depth (m) >= 1200", "time (h) > 2",
       "Formation=shale". A condition on a quantity replaces its limit.
     - `nulls`: further texts or numbers that stand for a missing value, beside -999.25, NULL, N/A, - and the like.
+    - `needed`: quantities in which a bad cell or an unlikely unit is an error; faults of others are only noted.
 
     **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`
     [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and
@@ -116,117 +92,105 @@ def read_log(
     >>> log.rate_of_penetration.round(5).tolist(), log.attrs["dropped"]
     ([0.00508, 0.00508], {'missing weight': 1})
     """
-    return read_needed(path, columns, where, nulls)
-
-
-def read_needed(
-    path: Source,
-    columns: Mapping[str, str] | None = None,
-    where: Where = None,
-    nulls: Nulls = None,
-    needed: Collection[str] = tuple(KNOWN),
-    name: str = "read_log",
-) -> pd.DataFrame:
-    """Read a rig log as `read_log` does.
-
-    `needed`: quantities in which a bad cell or an unlikely unit is an error; faults of others are only noted. `name`:
-    what stands for the file in messages about a DataFrame.
-    """
-    columns, conditions = checked_columns(columns), read_conditions(where)
+    columns, conditions = known.checked_columns(columns), read_conditions(where)
     if nulls is not None and (isinstance(nulls, str) or not isinstance(nulls, Sequence)):
         raise InputError(f'nulls: {shown(nulls)} is not a list; give one, like ["absent", -1]')
     if not isinstance(path, (str, PathLike, pd.DataFrame)):
-        raise InputError(f"{name}: {shown(path)} is no log; give a path or a DataFrame")
-    place = Place(name if isinstance(path, pd.DataFrame) else str(path))
-    cells = cells_of(place, path) if isinstance(path, pd.DataFrame) else read_cells(place, Path(path))
-    header, rows, lines = cells.header, cells.rows, cells.rows.index.to_numpy()
-    here = place.at(f"line {cells.line}")
-    chosen, notes = choose_columns(here, header, columns)
-    missing = NULLS | cells.nulls | {str(null).strip().casefold() for null in nulls or ()}
-    text = {key: rows.iloc[:, column.index] for key, column in chosen.items() if column.index is not None}
+        raise InputError(f"read_log: {shown(path)} is no log; give a path or a DataFrame")
+    place = Place("DataFrame" if isinstance(path, pd.DataFrame) else str(path))
+    cells = tables.cells_of(place, path) if isinstance(path, pd.DataFrame) else tables.read_cells(place, Path(path))
+    header, lines = list(map(str, cells.columns)), cells.index.to_numpy()
+    chosen, notes = known.choose_columns(place.at(f"line {cells.attrs['line']}"), header, columns)
+    notes = [*cells.attrs["notes"], *notes]
+    missing = NULLS | cells.attrs["nulls"] | {str(null).strip().casefold() for null in nulls or ()}
+    own = {column.index: key for key, column in chosen.items() if column.index is not None}
     is_needed = {key: key in needed or key in columns for key in chosen}
-    mark = decimal_mark(text[key] for key in text if is_needed[key]) or decimal_mark(text.values())
+    text = {key: cells.iloc[:, k] for k, key in own.items()}
+    mark = tables.decimal_mark(text[key] for key in text if is_needed[key]) or tables.decimal_mark(text.values())
     notes += ["commas are decimal marks"] * (mark == ",")
-    values = {key: np.full(len(rows), (column.value or 0.0) / column.factor) for key, column in chosen.items()}
-    bad: dict[str, Mask] = {}
-    for key in text:
-        numbers = _times(header, chosen[key], rows) if key == TIME else to_numbers(text[key], mark, missing)
-        values[key], bad[key] = numbers
-    empty = np.all([np.isnan(values[key]) for key in text], axis=0) if text else np.zeros(len(rows), bool)
-    empty &= empty.mean() < 0.5  # repeated names and remarks
-    for key in [key for key in bad if not is_needed[key] or key == TIME]:
-        if (wrong := bad.pop(key) & ~empty).any():
-            first, cells_wrong = int(np.argmax(wrong)), counted(wrong.sum(), "cell")
-            fault = f"{cells_wrong} taken as missing, such as {shown(text[key].iloc[first])} in line {lines[first]}"
-            notes.append(f"{key}: {fault}")
-    _check_cells(place, {key: mask & ~empty for key, mask in bad.items()}, chosen, text, mark)
-    unusual = _to_si(place, chosen, values, is_needed, notes)
-    names = [(recognise(cell)[0] or "", cell) for cell in header]
-    is_rig = RELIEF not in chosen and any(name in RIG or (name and not cell.startswith(name)) for name, cell in names)
-    table: dict[str, np.ndarray] = {**values, LINE: lines}
-    taken = {column.index for column in chosen.values()}
+    table = {key: np.full(len(cells), (column.value or 0.0) / column.factor) for key, column in chosen.items()}
+    table[LINE], faults = lines, list[tuple[int, str, str]]()
     for index, cell in enumerate(header):
-        if index not in taken and cell not in ("", "row", *table):
-            found, wrong = to_numbers(rows.iloc[:, index], mark, missing)
-            table[cell] = rows.iloc[:, index].fillna("").str.strip().to_numpy(object) if wrong.any() else found
+        column, key = cells.iloc[:, index].fillna("").str.strip(), own.get(index)
+        numbers, wrong = _times(header, chosen[key], cells) if key == TIME else tables.to_numbers(column, mark, missing)
+        bad = column[wrong]
+        if key is None:
+            if cell not in ("", "row", *table):
+                table[cell] = column.to_numpy(object) if wrong.any() else numbers
+            continue
+        table[key] = numbers
+        if is_needed[key] and key != TIME:
+            faults += [(int(line), cell, value) for line, value in bad.items()]
+        elif len(bad):
+            fault = f"{counted(len(bad), 'cell')} taken as missing"
+            notes.append(f"{key}: {fault}, such as {shown(bad.iloc[0])} in line {bad.index[0]}")
+    if faults:
+        faults.sort()
+        listed = tables.listed_faults([f"line {line}, column {name}: {shown(value)}" for line, name, value in faults])
+        right = f"correct them, or say that they stand for missing values: --nulls {shown(faults[0][2])}"
+        right = tables.AMBIGUOUS_COMMAS if "," in faults[0][2] and not mark else right
+        raise place.error(f"{listed}; {counted(len(faults), 'cell is not a number', 'cells are not numbers')}; {right}")
+    unusual = _to_si(place, chosen, table, is_needed, notes)
+    names = [(known.recognise(cell)[0] or "", cell) for cell in header]
+    is_rig = known.RELIEF not in chosen and any(
+        name in known.RIG or (name and not cell.startswith(name)) for name, cell in names
+    )
     data = pd.DataFrame(table)
-    met = {each.text: _meets(place, each, data, chosen) for each in conditions}
-    free = {name for name, _ in met.values()}
-    for key in sorted({"torque", "pressure"} & set(values) - free):
-        if (large := data[key] > LIMITS[key]).any():
+    met = {f"not {each.text}": _meets(place, each, data, chosen) for each in conditions}
+    limits = LIMITS | dict.fromkeys((name for name, _ in met.values()), np.inf)
+    for key in ("pressure", "torque"):
+        if key in chosen and key in data and (large := data[key] > limits[key]).any():
             data[key] = data[key].mask(large)
-            limit = f"{LIMITS[key]:g} {UNITS[KNOWN[key].unit][0]}"
+            limit = f"{limits[key]:g} {UNITS[KNOWN[key].unit][0]}"
             notes.append(f"{key}: {counted(large.sum(), 'value')} above {limit} taken as missing")
-    masks = [("no numbers", empty), *((f"not {each}", ~mask) for each, (_, mask) in met.items())]
-    masks += _no_drilling(values, free) if is_rig else []
-    kept, dropped = np.ones(len(rows), bool), {}
-    for reason, mask in masks:
-        dropped[reason] = mask & kept
-        kept &= ~mask
-    if is_rig and DEPTH in values:
-        dropped["depth not monotonic"] = _not_monotonic(place, chosen[DEPTH], values[DEPTH], kept, lines)
-        kept &= ~dropped["depth not monotonic"]
-    dropped = {reason: mask for reason, mask in dropped.items() if mask.any()}
+    masks = {reason: ~mask for reason, (_, mask) in met.items()} | (_no_drilling(data, limits) if is_rig else {})
+    kept = ~np.any([np.zeros(len(data), bool), *masks.values()], axis=0)
+    if is_rig and DEPTH in data:
+        masks["depth not monotonic"] = _not_monotonic(place, chosen[DEPTH], data[DEPTH].to_numpy(), kept, lines)
+        kept &= ~masks["depth not monotonic"]
+    reason = np.select(list(masks.values()), list(masks), "") if masks else np.full(len(data), "")
+    dropped = {name: lines[reason == name] for name in masks if (reason == name).any()}
     if not kept.any():
-        texts = ", ".join(f"{reason} {mask.sum()}" for reason, mask in dropped.items())
+        texts = ", ".join(f"{name} {part.size}" for name, part in dropped.items())
         hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
-        raise place.at(f"line {lines[0]} to {lines[-1]}").error(f"no row is left of {len(rows)}: {texts}{hint}")
+        raise place.at(f"line {lines[0]} to {lines[-1]}").error(f"no row is left of {len(cells)}: {texts}{hint}")
     data = data[kept].reset_index(drop=True)
     data.attrs = {
         "title": Path(place.file).name,
         "rig": is_rig,
-        "rows_read": len(rows),
-        "units": {key: KNOWN[key].unit for key in values},
-        "sources": {key: chosen[key].described() for key in values},
-        "dropped": {reason: int(mask.sum()) for reason, mask in dropped.items()},
-        "lines": {reason: line_ranges(lines[mask]) for reason, mask in dropped.items()},
-        "notes": [*cells.notes, *notes],
+        "rows_read": len(cells),
+        "units": {key: KNOWN[key].unit for key in chosen},
+        "sources": {key: column.described() for key, column in chosen.items()},
+        "dropped": {name: part.size for name, part in dropped.items()},
+        "lines": {name: tables.line_ranges(part) for name, part in dropped.items()},
+        "notes": notes,
         "unusual": unusual,
     }
     return data
 
 
-# Numbers
-
-
 def _to_si(
-    place: Place, chosen: dict[str, Column], values: dict[str, Rows], is_needed: Mapping[str, bool], notes: list[str]
+    place: Place,
+    chosen: dict[str, Column],
+    table: dict[str, np.ndarray],
+    is_needed: Mapping[str, bool],
+    notes: list[str],
 ) -> list[tuple[str, str, float, str]]:
     """Convert the values to SI units; return name, quantity, median and advice of columns far from those of rigs.
 
     **Raises:** `InputError` with all columns whose unit is only assumed and unlikely; those not needed are left out.
     """
     unusual, faults, words = [], [], []
-    for key, numbers in list(values.items()):
-        known = np.abs(numbers[np.isfinite(numbers) & (numbers != 0)])
-        median, column = float(np.median(known)) if known.size else np.nan, chosen[key]
+    for key, column in list(chosen.items()):
+        numbers = np.abs(table[key][np.isfinite(table[key]) & (table[key] != 0)])
+        median = float(np.median(numbers)) if numbers.size else np.nan
         low, high = KNOWN[key].usual or (0.0, np.inf)
-        if key == ROTATION_SPEED and column.assumed and not is_own(column.header, key):
+        if key == ROTATION_SPEED and column.assumed and not known.is_own(column.header, key):
             for unit, scale in {"rev/s": 60 * RPM, "rpm": RPM}.items():  # the last that fits
                 if low <= median * scale <= high:
                     chosen[key] = column = Column(column.header, column.index, unit, scale, assumed=True)
-        values[key] = column.factor * numbers
-        if not known.size or (word := likely_words(key, column, median)) is None:
+        table[key] = column.factor * table[key]
+        if not numbers.size or (word := known.likely_words(key, column, median)) is None:
             continue
         fault = f"{key} {median:.6g} {column.unit} ({low:g} to {high:g} {UNITS[KNOWN[key].unit][0]})"
         if not column.assumed:
@@ -236,29 +200,12 @@ def _to_si(
             words.append(word)
         else:
             notes.append(f"{fault} is far outside what rigs have and left out: no unit is given; likely {word}")
-            del values[key]
+            del table[key], chosen[key]
     if faults:
         fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(faults)}"
         choice = " (choose one unit)" * any(" or " in word for word in words)
         raise place.error(f"{fault}; likely --columns {' '.join(words)}{choice}")
     return unusual
-
-
-def _check_cells(
-    place: Place, bad: Mapping[str, Mask], chosen: Mapping[str, Column], text: Mapping[str, pd.Series], mark: str
-) -> None:
-    """Raise `InputError` that lists the first cells that are neither numbers nor stand for a missing value."""
-    faults = sorted((int(row), key) for key, mask in bad.items() for row in np.flatnonzero(mask))
-    if not faults:
-        return
-    cells = [(text[key].index[row], chosen[key].header, str(text[key].iloc[row]).strip()) for row, key in faults]
-    listed = "; ".join(f"line {line}, column {header}: {shown(cell)}" for line, header, cell in cells[:MOST_LISTED])
-    more = f"; and {len(faults) - MOST_LISTED} more" if len(faults) > MOST_LISTED else ""
-    verb = "is not a number" if len(faults) == 1 else f"are not numbers ({len(faults)} cells)"
-    right = f"correct them, or say that they stand for missing values: --nulls {shown(cells[0][2])}"
-    if "," in cells[0][2] and mark != ".":
-        right = f"commas are ambiguous: {ambiguous_commas(mark)}; write decimal points"
-    raise place.error(f"{listed}{more} {verb}; {right}")
 
 
 def _times(header: list[str], column: Column, rows: pd.DataFrame) -> tuple[Rows, Mask]:
@@ -267,15 +214,18 @@ def _times(header: list[str], column: Column, rows: pd.DataFrame) -> tuple[Rows,
     Cells hold numbers, dates with times, times of the day that may pass midnight, or days and times in two columns.
     """
     cells = rows.iloc[:, column.index or 0].fillna("").str.strip()
-    date = next((k for k, cell in enumerate(header) if recognise(cell)[0] == DATE and k != column.index), None)
+    date = next(
+        (k for k, cell in enumerate(header) if known.recognise(cell)[0] == known.DATE and k != column.index), None
+    )
     empty, scale = (cells == "").to_numpy(), column.factor
-    if date is None and all(is_number(cell) or not cell for cell in cells):
+    if date is None and all(tables.is_number(cell) or not cell for cell in cells):
         values, scale = pd.to_numeric(cells).to_numpy(float), 1.0
     elif date is None and cells[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
         clock = cells.where(cells.str.fullmatch(_CLOCK)).where(cells.str.count(":") != 1, cells + ":00")
         values = pd.to_timedelta(clock, errors="coerce").dt.total_seconds().to_numpy(float, copy=True)
-        known = np.isfinite(values)
-        values[known] += _DAY * np.cumsum(np.diff(values[known], prepend=values[known][:1]) < -_DAY / 2)
+        known_times = np.isfinite(values)
+        turns = np.cumsum(np.diff(values[known_times], prepend=values[known_times][:1]) < -_DAY / 2)
+        values[known_times] += _DAY * turns
     else:
         day = rows.iloc[:, date].fillna("").str.strip() + " " if date is not None else ""
         stamps = pd.to_datetime((day + cells).str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
@@ -335,16 +285,17 @@ def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mappi
 
     **Raises:** `InputError` if there is no such column, or the value does not suit it.
     """
-    here, own = place.at(f"where {condition.text}"), [name for name in chosen if name in data]
-    names = {normalised(str(name)): str(name) for name in data}
-    headers = {name: chosen[name].header for name in own}
-    names |= {normalised(text): name for name, cell in headers.items() for text in (cell, split_unit(cell)[0])}
-    key = names.get(normalised(condition.name), recognise(condition.name)[0])
+    here, headers = place.at(f"where {condition.text}"), {name: column.header for name, column in chosen.items()}
+    names = {known.normalised(str(name)): str(name) for name in data}
+    names |= {
+        known.normalised(text): name for name, cell in headers.items() for text in (cell, known.split_unit(cell)[0])
+    }
+    key = names.get(known.normalised(condition.name), known.recognise(condition.name)[0])
     if key is None or key not in data:
-        hint = suggestion(condition.name, [*own, *headers.values(), *map(str, data)])
+        hint = suggestion(condition.name, [*headers, *headers.values(), *map(str, data)])
         raise here.error(f"the file has no column {shown(condition.name)}; {hint}")
-    number = NUMBER.fullmatch(condition.value)
-    if key in own:
+    number = known.NUMBER.fullmatch(condition.value)
+    if key in chosen:
         unit = condition.unit or (number[2] if number else None)
         scale = factor(unit, KNOWN[key].unit) if unit else chosen[key].factor
         if number is None or scale is None:
@@ -355,29 +306,25 @@ def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mappi
         return key, condition.holds(data[key], float(number[1]))
     if condition.operator not in ("=", "==", "!="):
         raise here.error("texts are only compared by = or !=")
-    equal = (data[key].astype(str) == condition.value).to_numpy(bool)
-    return key, ~equal if condition.operator == "!=" else equal
+    return key, (data[key].astype(str) == condition.value).to_numpy(bool) ^ (condition.operator == "!=")
 
 
-def _no_drilling(values: Mapping[str, Rows], free: Collection[str]) -> list[tuple[str, Mask]]:
-    """Return masks of the rows that are no drilling, by reason; `free`: quantities without a limit of reason."""
-    depth = values.get(DEPTH, np.nan)
-    tests: list[tuple[str, str, Callable[[Rows], Any]]] = [
-        (RATE, "missing rate", np.isnan),
+def _no_drilling(data: pd.DataFrame, limits: Mapping[str, float]) -> dict[str, Mask]:
+    """Return masks of the rows that are no drilling, by reason; `limits`: greatest values within reason."""
+    tests: list[tuple[str, str, Callable[[pd.Series], Any]]] = [
+        (RATE, "missing rate", pd.Series.isna),
         (WEIGHT, "missing weight", lambda x: ~(x > 0)),
         (ROTATION_SPEED, "no rotation", lambda x: ~(x >= SLOWEST_ROTATION)),
-        (DEPTH, "missing depth", np.isnan),
-        (BIT_DEPTH, "off bottom", lambda x: x < depth - OFF_BOTTOM),
+        (DEPTH, "missing depth", pd.Series.isna),
+        (known.BIT_DEPTH, "off bottom", lambda x: x < data.get(DEPTH, np.nan) - OFF_BOTTOM),
+        (RATE, "rate beyond reason", lambda x: (x < 0) | (x > limits[RATE])),
+        (WEIGHT, "weight beyond reason", lambda x: (x < 0) | (x > limits[WEIGHT])),
+        (ROTATION_SPEED, "rotation beyond reason", lambda x: (x < 0) | (x > limits[ROTATION_SPEED])),
     ]
-    masks = [(reason, np.asarray(is_so(values[name]))) for name, reason, is_so in tests if name in values]
-    for name, word in ((RATE, "rate"), (WEIGHT, "weight"), (ROTATION_SPEED, "rotation")):
-        if name in values:
-            limit = np.inf if name in free else LIMITS[name]
-            masks.append((f"{word} beyond reason", (values[name] < 0) | (values[name] > limit)))
-    return masks
+    return {reason: is_so(data[name]).to_numpy(bool) for name, reason, is_so in tests if name in data}
 
 
-def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines: Int[np.ndarray, " rows"]) -> Mask:
+def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines: np.ndarray) -> Mask:
     """Return a mask of the `kept` rows outside the longest sequence whose depth does not fall.
 
     **Raises:** `InputError` if that sequence holds less than half of the rows.
@@ -385,19 +332,17 @@ def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines:
     rows = np.flatnonzero(kept)
     ends: list[float] = []  # least end of a sequence of each length (patience sorting)
     last: list[int] = []
-    previous = np.full(rows.size, -1)
+    previous: list[int] = []
     for position, value in enumerate(depth[rows].tolist()):
         length = bisect_right(ends, value)
-        previous[position] = last[length - 1] if length else -1
-        ends[length : length + 1] = [value]
-        last[length : length + 1] = [position]
+        previous.append(last[length - 1] if length else -1)
+        ends[length : length + 1], last[length : length + 1] = [value], [position]
     if 2 * len(ends) < rows.size:
         here = place.at(f"line {lines[rows[int(np.argmax(np.diff(depth[rows]) < 0)) + 1]]}, column {column.header}")
         raise here.error(f"the depth falls in most rows (only {len(ends)} of {rows.size} in order); sort them by depth")
     dropped, position = kept.copy(), last[-1] if last else -1
     while position >= 0:
-        dropped[rows[position]] = False
-        position = int(previous[position])
+        dropped[rows[position]], position = False, previous[position]
     return dropped
 
 
@@ -437,11 +382,10 @@ def log_lines(data: xr.Dataset) -> list[str]:
     """Return lines of text: the source and unit of each quantity, and what was dropped and why."""
     lines = []
     for name, source in table_of(data, "columns").items():
-        unit = source.get("unit", source.get("given_in"))
-        unit = f", taken as {unit}, since it names no unit" if source["assumed"] else f", in {unit}"
         si = UNITS[KNOWN[name].unit][0] if name in KNOWN else ""
         value = f"{source['value']:g} {si} for all rows" if "value" in source else f"column {shown(source['column'])}"
-        lines.append(f"{name}: {value}{unit if source['assumed'] or 'value' not in source else ''}")
+        unit = "" if "value" in source else f", in {source['unit']}"
+        lines.append(f"{name}: {value}{unit}{', since no unit is given' * source['assumed']}")
     if dropped := table_of(data, "dropped"):
         total, read = sum(about["rows"] for about in dropped.values()), attribute_of(data, "rows_read")
         lines.append(f"dropped {total} of {counted(read, 'row')}:")

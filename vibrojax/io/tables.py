@@ -4,16 +4,16 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.errors import InputError, Place, counted, nearest, shown
-from vibrojax.io.files import read_regular
+from vibrojax.errors import Place, counted, shown
+from vibrojax.io.files import read_regular, read_text
 from vibrojax.io.log_columns import recognise
 from vibrojax.lazy import pd
 from vibrojax.physics.units import is_unit
@@ -23,11 +23,14 @@ _MOST_LINES_LISTED = 12
 MOST_LISTED = 10
 """Number of faults that a message lists."""
 
-_HEAD = 200
-"""Number of rows in which names, units and the first numbers are sought."""
+Frame: TypeAlias = "pd.DataFrame"
+
+AMBIGUOUS_COMMAS = "commas are ambiguous: they may be decimal marks, or separate thousands; write decimal points"
+
+_HEAD, _HEAD_SIZE = 200, 50_000
+"""Rows in which names, units and the first numbers are sought, and characters that show what separates columns."""
 
 _NO_ROWS = "no rows; add a line for each measurement"
-_LAS_SECTIONS = {"V": "~Version", "C": "~Curve", "A": "~ASCII"}
 _LAS_DELIMITERS = {"COMMA": ",", "TAB": "\t"}
 _NUMBERS = {
     ",": re.compile(r"[-+]?(\d+|\d{1,3}(\.\d{3})+),\d+([eE][-+]?\d+)?"),
@@ -35,53 +38,32 @@ _NUMBERS = {
 }
 """Numbers with a decimal mark; some could be numbers with thousands and the other mark, too."""
 _THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}([{mark}]\d{{3}})+([.,]\d+)?") for mark in ",."}
-_NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f]|\A(\xff\xfe|\xfe\xff)")  # control characters, or UTF-16
-
-
-def read_text(path: Path, windows: bool = False) -> str:
-    """Return the text of a file that the user specified, without a byte order mark.
-
-    `windows`: whether the file may be in Windows-1252, as exports of older software are; a warning then says so.
-
-    **Raises:** `InputError` if the file cannot be read.
-    """
-    content = b""
-    try:
-        content = read_regular(path)
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        if windows and not _NOT_TEXT.search(content):
-            warnings.warn(f"{path}: not UTF-8 (byte {error.start}), read as Windows-1252", stacklevel=2)
-            return content.decode("cp1252", "replace")
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
-    except FileNotFoundError:
-        similar = [other.name for other in path.parent.glob(f"*{path.suffix}")] if path.parent.is_dir() else []
-        best = nearest(path.name, similar)
-        hint = f" (did you mean {shown(best)}?)" if best else ""
-        raise InputError(f"{path}: no such file; give the path of one that is there{hint}") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; give the path of a file") from None
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:  # ValueError: the path contains a null character
-        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
 
 
 def read_table(path: Path) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
     """Return the header of a CSV with points, the number of its line, and the other rows with those of theirs.
 
+    Commas in numbers between semicolons are decimal marks; a warning says so.
+
     **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
     """
-    place = Place(str(path))
-    rows = _read_csv(place, read_text(path))
+    place, text = Place(str(path)), read_text(path)
+    rows, is_german = csv_rows(place, text), _separator(text) == ";"
     line, header = next(rows, (0, []))
     if not header:
         raise place.error("empty; a line of column names and a line for each point are needed")
-    header, here = [cell.strip() for cell in header], place.at(f"line {line}")
-    if len(header) == 1 and "\t" in header[0]:
-        raise here.error(f"{shown(header[0])} is one column; separate them by commas")
+    header = [cell.strip() for cell in header]
     if all(map(is_number, header)):
-        raise here.error(f"{shown(', '.join(header))} are numbers; the first line names the columns, like beta,gamma")
+        fault = f"{shown(', '.join(header))} are numbers; the first line names the columns, like beta,gamma"
+        raise place.at(f"line {line}").error(fault)
+    if is_german:
+        lines = list(rows)
+        cells = pd.Series([cell for _, row in lines for cell in row], dtype=object).str.strip()
+        if not (mark := decimal_mark([cells])):
+            raise place.error(AMBIGUOUS_COMMAS)
+        warnings.warn(f"{path}: semicolons separate the columns, and the decimal mark is {shown(mark)}", stacklevel=2)
+        points = iter(with_points(cells, mark))
+        rows = ((number, [next(points) for _ in row]) for number, row in lines)
 
     def checked() -> Iterator[tuple[int, list[str]]]:
         last = 0
@@ -103,17 +85,27 @@ def is_number(cell: str) -> bool:
         return False
 
 
-def csv_rows(place: Place, text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+def _separator(text: str) -> str:
+    """Return the mark between the columns: a semicolon or a tab if most of the first lines have it, or a comma."""
+    lines = [line for line in text[:_HEAD_SIZE].splitlines() if line.strip()]
+    return next((mark for mark in ";\t" if 2 * sum(mark in line for line in lines) > len(lines)), ",")
+
+
+def csv_rows(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
     """Return the non-empty lines of a CSV, each with its number; raise `InputError` if the text is not CSV."""
-    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True, delimiter=delimiter)
+    lines = io.StringIO(text, newline="")
+    reader = csv.reader(lines, skipinitialspace=True, strict=True, delimiter=_separator(text))
     try:
         yield from ((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
     except csv.Error as error:
         raise place.at(f"line {reader.line_num}").error(f"not CSV: {error}") from None
 
 
+# Numbers
+
+
 def decimal_mark(columns: "Iterable[pd.Series]") -> str:
-    """Return the decimal mark of text cells: "." or ",", "both" if both occur, or "" if commas may be either."""
+    """Return the decimal mark of text cells, "." or ","; "" if both occur, or commas may be either mark."""
     columns = [column.dropna().str.strip() for column in columns]
     if not any(column.str.contains(",", regex=False).any() for column in columns):
         return "."
@@ -123,16 +115,13 @@ def decimal_mark(columns: "Iterable[pd.Series]") -> str:
         for mark, like in _NUMBERS.items()
         if (cells.str.fullmatch(like) & ~cells.str.fullmatch(_THOUSANDS[mark])).any()
     ]
-    return "both" if len(marks) == 2 else "".join(marks)
-
-
-def ambiguous_commas(mark: str) -> str:
-    """Return why commas are ambiguous, if the decimal mark is "both" or ""."""
-    return "the file has decimal points too" if mark == "both" else "commas may separate thousands"
+    return marks[0] if len(marks) == 1 else ""
 
 
 def with_points(cells: "pd.Series", mark: str) -> "pd.Series":
     """Return text cells with decimal points, and without marks between thousands; `mark`: their decimal mark."""
+    if not mark:
+        return cells
     other = "," if mark == "." else "."
     cells = cells.where(~cells.str.fullmatch(_THOUSANDS[other]), cells.str.replace(other, "", regex=False))
     return cells.where(~(cells.str.fullmatch(_NUMBERS[","]) & (mark == ",")), cells.str.replace(",", ".", regex=False))
@@ -145,80 +134,49 @@ def to_numbers(
 
     `mark`: the decimal mark, as `decimal_mark` returns it; `nulls`: what stands for a missing value, in small letters.
     """
-    cells = cells.fillna("").str.strip()
-    cells = with_points(cells, mark) if mark in (",", ".") else cells
+    cells = with_points(cells.fillna("").str.strip(), mark)
     missing = ((cells == "") | cells.str.casefold().isin(nulls)).to_numpy(bool)
     values = np.array([float(cell) if is_number(cell) else np.nan for cell in cells.mask(missing, "nan")])
     bad = ~np.isfinite(values) & ~missing
     return np.where(np.isin(values, [float(null) for null in nulls if is_number(null)]) | bad, np.nan, values), bad
 
 
-def _read_csv(place: Place, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Return the non-empty lines of a CSV; columns are separated by semicolons if the first line shows it, or commas.
-
-    Commas in numbers between semicolons are decimal marks; a warning says so.
-    """
-    lines = (line for line in text.splitlines() if line.strip())
-    first, second = next(lines, ""), next(lines, "")
-    if not (";" in first and ("," not in first or first.count(";") == second.count(";"))):
-        return csv_rows(place, text, ",")
-    header, *rows = csv_rows(place, text, ";")
-    cells = pd.Series([cell for _, row in rows for cell in row], dtype=object).str.strip()
-    commas = [(n, cell.strip()) for n, row in rows for cell in row if _NUMBERS[","].fullmatch(cell.strip())]
-    mark = decimal_mark([cells]) if commas else "."
-    if mark not in (",", "."):
-        line, cell = commas[0]
-        fault = f"{shown(cell)} is ambiguous: {ambiguous_commas(mark)}; write decimal points"
-        raise place.at(f"line {line}").error(fault)
-    message = "semicolons separate the columns" + (", commas are decimal marks" if mark == "," else "")
-    warnings.warn(f"{place.file}: {message}", stacklevel=2)
-    points = iter(with_points(cells, mark)) if mark == "," else iter(cells)
-    return iter([header] + [(line, [next(points) for _ in row]) for line, row in rows])
-
-
 # Files of logs
 
 
-@dataclass(frozen=True)
-class Cells:
-    """A table of text: `header` (names with their units) at a `line`; `rows`, indexed by line, a column per name.
+def read_cells(place: Place, path: Path) -> Frame:
+    """Return the cells of a file as texts; its kind is recognised by its content or its ending.
 
-    `nulls`: numbers that stand for a missing value in this file.
-    """
+    The columns have the names with their units, and the index is the number of the line. `attrs`: `line` (that of the
+    names), `nulls` (a set of the numbers that stand for a missing value in this file), and `notes`.
 
-    header: list[str]
-    line: int
-    rows: "pd.DataFrame"
-    nulls: frozenset[str] = frozenset()
-    notes: tuple[str, ...] = ()
-
-
-def read_cells(place: Place, path: Path) -> Cells:
-    """Return the cells of a file, whose kind is recognised by its content or its ending.
-
-    **Raises:** `InputError` if the file cannot be read, or a row has another width than the header (further cells may
+    **Raises:** `InputError` if the file cannot be read, or a row has another width than the names (further cells may
     be empty).
     """
     if path.suffix.lower() in (".xlsx", ".xlsm", ".xls"):
-        cells = _below_names(place, _read_xlsx(place, path))
+        cells, header = _below_names(place, _read_xlsx(place, path))
+    elif (text := read_text(path, windows=True)).lstrip().startswith("~") or path.suffix.lower() == ".las":
+        cells, header = _read_las(place, text)
+    elif text.lstrip().startswith("<"):
+        cells, header = _read_witsml(place, text)
     else:
-        text = read_text(path, windows=True)
-        if text.lstrip().startswith("~") or path.suffix.lower() == ".las":
-            cells = _read_las(place, text)
-        else:
-            is_xml = text.lstrip().startswith("<")
-            cells = _read_witsml(place, text) if is_xml else _below_names(place, _read_delimited(place, text))
-    width, rows = len(cells.header), cells.rows
-    counts = rows.iloc[:, :width].notna().sum(axis=1) + (rows.iloc[:, width:].fillna("") != "").sum(axis=1)
+        cells, header = _below_names(place, _table(place, csv_rows(place, text)))
+    width = len(header)
+    counts = cells.iloc[:, :width].notna().sum(axis=1) + (cells.iloc[:, width:].fillna("") != "").sum(axis=1)
     if (wrong := counts[counts != width].astype(int)).size:
-        listed = [f"line {line} has {counted(count, 'cell')}" for line, count in wrong.iloc[:MOST_LISTED].items()]
-        more = f"; and {len(wrong) - MOST_LISTED} more" if len(wrong) > MOST_LISTED else ""
-        raise place.error(f"{'; '.join(listed)}{more}; {width} are needed, one a column")
-    return replace(cells, rows=rows.iloc[:, :width])
+        listed = listed_faults([f"line {line} has {counted(count, 'cell')}" for line, count in wrong.items()])
+        raise place.error(f"{listed}; {width} are needed, one a column")
+    return cells.iloc[:, :width].set_axis(header, axis=1)
 
 
-def cells_of(place: Place, table: "pd.DataFrame") -> Cells:
-    """Return the cells of a DataFrame; in one that `read_log` returned, the quantities are in SI units."""
+def listed_faults(faults: Sequence[str]) -> str:
+    """Return the first `MOST_LISTED` faults, and the number of further ones."""
+    more = f"; and {len(faults) - MOST_LISTED} more" if len(faults) > MOST_LISTED else ""
+    return "; ".join(faults[:MOST_LISTED]) + more
+
+
+def cells_of(place: Place, table: Frame) -> Frame:
+    """Return the cells of a DataFrame, as `read_cells` does; in one that `read_log` returned, quantities are in SI."""
     units = table.attrs["units"] if "sources" in table.attrs else {}
     table = table.reset_index() if any(table.index.names) else table
     lines = table["line"] if units and "line" in table else range(2, len(table) + 2)
@@ -226,26 +184,24 @@ def cells_of(place: Place, table: "pd.DataFrame") -> Cells:
     if table.empty:
         raise place.error(_NO_ROWS)
     names = [f"{name} ({units[name]})" if name in units else str(name) for name in table.columns]
-    rows = table.astype(object).where(table.notna(), "").map(str)
-    return Cells(names, 1, rows.set_axis(range(len(names)), axis=1).set_axis(lines))
+    cells = table.astype(object).where(table.notna(), "").map(str).set_axis(names, axis=1).set_axis(lines)
+    cells.attrs = {"line": 1, "nulls": set(), "notes": []}
+    return cells
 
 
-def _read_delimited(place: Place, text: str) -> "pd.DataFrame":
-    lines = [line for line in text.splitlines() if line.strip()][:_HEAD]
-    if not lines:
-        raise place.error("empty; a line of column names and a line for each measurement are needed")
-    separator = next((mark for mark in ";\t" if 2 * sum(mark in line for line in lines) > len(lines)), ",")
-    return _table(list(csv_rows(place, text, separator)))
-
-
-def _table(rows: list[tuple[int, list[str]]]) -> "pd.DataFrame":
-    """Return rows, each with its line, as a table indexed by line, in which short rows end in None."""
+def _table(place: Place, rows: Iterable[tuple[int, list[str]]], line: int = 1, nulls: Iterable[str] = ()) -> Frame:
+    """Return rows, each with its line, as `read_cells` does, with numbered columns; short rows end in None."""
+    rows = list(rows)
+    if not rows:
+        raise place.error(_NO_ROWS)
     width = max(len(cells) for _, cells in rows)
     padded = [cells + [None] * (width - len(cells)) for _, cells in rows]
-    return pd.DataFrame(padded, index=[line for line, _ in rows], dtype=object)
+    table = pd.DataFrame(padded, index=[line for line, _ in rows], dtype=object)
+    table.attrs = {"line": line, "nulls": set(nulls), "notes": []}
+    return table
 
 
-def _read_xlsx(place: Place, path: Path) -> "pd.DataFrame":
+def _read_xlsx(place: Place, path: Path) -> Frame:
     try:
         content = io.BytesIO(read_regular(path))
         table = pd.read_excel(content, header=None, dtype=str, keep_default_na=False, engine="openpyxl")
@@ -258,8 +214,8 @@ def _read_xlsx(place: Place, path: Path) -> "pd.DataFrame":
     return table[(table != "").any(axis=1)]
 
 
-def _below_names(place: Place, table: "pd.DataFrame") -> Cells:
-    """Return the cells below the names, which stand above the first row of numbers.
+def _below_names(place: Place, table: Frame) -> tuple[Frame, list[str]]:
+    """Return the cells below the names, and the names, which stand above the first row of numbers.
 
     A row of units goes into the names. Of several other rows there, such as titles, that with most known names counts.
     """
@@ -272,20 +228,22 @@ def _below_names(place: Place, table: "pd.DataFrame") -> Cells:
         first = shown(", ".join(filter(None, head.iloc[0])))
         advice = "the first line names the columns, like relief,rate_of_penetration"
         raise place.at(f"line {table.index[0]}").error(f"{first} are numbers; {advice}")
+    if above == len(table):
+        raise place.error(_NO_ROWS)
     known = [sum(recognise(cell)[0] is not None for cell in row if cell) for row in texts]
     units = [sum(is_unit(cell.strip(" []()")) for cell in row) for row in texts]
     below = next((k for k in range(1, above) if units[k] > known[k]), None)
     names = max((k for k in range(above) if k != below), key=lambda k: (known[k], sum(map(bool, texts[k])), k))
-    header, notes = texts[names][: table.iloc[names].notna().sum()], []
+    header = texts[names][: table.iloc[names].notna().sum()]
     if below is not None:
         header = [_with_unit(name, unit.strip(" []()")) for name, unit in zip(header, texts[below], strict=False)]
-        notes.append(f"line {table.index[below]} holds the units of the columns")
-    notes += [f"line {table.index[k]} holds no names and is not read" for k in range(above) if k not in (names, below)]
     while not header[-1] and (table.iloc[above:, len(header) - 1].fillna("") == "").all():
         header.pop()
-    if above == len(table):
-        raise place.error(_NO_ROWS)
-    return Cells(header, int(table.index[names]), table.iloc[above:], notes=tuple(notes))
+    says = {names: "", below: "holds the units of the columns"}
+    notes = [f"line {table.index[k]} {says.get(k, 'holds no names and is not read')}" for k in range(above)]
+    cells = table.iloc[above:]
+    cells.attrs = {"line": int(table.index[names]), "nulls": set(), "notes": notes[:names] + notes[names + 1 :]}
+    return cells, header
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -295,8 +253,8 @@ def _with_unit(name: str, unit: str) -> str:
     return f"{name} ({unit})" if is_wanted else name
 
 
-def _read_witsml(place: Place, text: str) -> Cells:
-    """Return the rows of `logData` in WITSML 1.3 or 1.4, with the units of its list or of its `logCurveInfo`."""
+def _read_witsml(place: Place, text: str) -> tuple[Frame, list[str]]:
+    """Return the rows and names of `logData` in WITSML 1.3 or 1.4, with units of its list or of its `logCurveInfo`."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise place.error("defines entities, which are not read; export the log without them, or as CSV")
     try:
@@ -315,50 +273,45 @@ def _read_witsml(place: Place, text: str) -> Cells:
     header = [_with_unit(name, unit.strip()) for name, unit in zip(names, units, strict=True)]
     lines = [number for number, line in enumerate(text.splitlines(), 1) if "<data>" in line]
     index = lines if len(lines) == len(rows) else range(1, len(rows) + 1)
-    nulls = frozenset((null.text or "").strip() for null in root.findall(".//{*}nullValue"))
-    return Cells(header, max(index[0] - 1, 1), _table(list(zip(index, rows, strict=True))), nulls)
+    nulls = [(null.text or "").strip() for null in root.findall(".//{*}nullValue")]
+    return _table(place, zip(index, rows, strict=True), max(index[0] - 1, 1), nulls), header
 
 
-def _read_las(place: Place, text: str) -> Cells:
-    """Return the rows of a LAS file of version 1.2, 2.0 (wrapped, too) or 3.0 with one log."""
+def _read_las(place: Place, text: str) -> tuple[Frame, list[str]]:
+    """Return the rows and the names of a LAS file of version 1.2, 2.0 (wrapped, too) or 3.0 with one log."""
     try:
         import lasio
     except ImportError:
         raise place.error('LAS files need lasio, which is not installed; pip install "vibrojax[las]"') from None
     # lasio reads the header only: its rows have no lines, and it takes neither small letters nor sections of LAS 3.
-    sections: dict[str, list[tuple[int, str]]] = {"": []}
-    begins: dict[str, int] = {}
-    key = ""
+    sections: dict[str, list[tuple[int, str]]] = {}
+    lines: list[tuple[int, str]] = []
     for number, line in enumerate(text.splitlines(), 1):
         if line.startswith("~"):
             title = line[1:].strip().upper()
             key = "A" if title.startswith(("A", "LOG_DATA")) else "C" if title.startswith("LOG_DEF") else title[:1]
-            if key in begins and key in "AC":
+            if key in sections and key in "AC":
                 raise place.at(f"line {number}").error("begins a second log; write one log in a file")
-            sections.setdefault(key, [])
-            begins.setdefault(key, number)
+            lines = sections.setdefault(key, [])
         elif line.strip() and not line.lstrip().startswith("#"):
-            sections[key].append((number, line))
-    if missing := [name for letter, name in _LAS_SECTIONS.items() if letter not in begins]:
-        raise place.error(f"not LAS: it has no section {missing[0]}; export the log again, with its data, or as CSV")
+            lines.append((number, line))
     head = [line for key in "VWC" for line in (f"~{key}", *(line for _, line in sections.get(key, [])))]
     try:
         las = lasio.read(io.StringIO("\n".join([*head, "~A"])), ignore_data=True)
         is_wrapped = str(las.version.WRAP.value).strip().upper() == "YES"
         delimiter = _LAS_DELIMITERS.get(str(las.version["DLM"].value).upper()) if "DLM" in las.version else None
+        rows = [(number, [cell.strip() for cell in line.split(delimiter)]) for number, line in sections["A"]]
+        names = [_with_unit(str(curve.original_mnemonic), str(curve.unit or "")) for curve in las.curves]
+        names_line = sections["C"][0][0]
     except Exception:  # lasio has no error of its own for a malformed header
-        fault = "not LAS: VERS and WRAP in ~Version, and a curve on each line of ~Curve, are needed"
-        raise place.at(f"line {begins['V']}").error(f"{fault}; or export as CSV") from None
-    header = [_with_unit(str(curve.original_mnemonic), str(curve.unit or "")) for curve in las.curves]
-    rows = [(number, [cell.strip() for cell in line.split(delimiter)]) for number, line in sections["A"]]
+        fault = "not LAS: ~Version with VERS and WRAP, a curve on each line of ~Curve, and rows in ~ASCII are needed"
+        raise place.error(f"{fault}; export the log again, with its data, or as CSV") from None
     if is_wrapped:
-        width, every = len(header), [(number, cell) for number, cells in rows for cell in cells if cell]
+        width, every = len(names), [(number, cell) for number, cells in rows for cell in cells if cell]
         groups = [every[k : k + width] for k in range(0, len(every), width)]
         rows = [(group[0][0], [cell for _, cell in group]) for group in groups]
-    if not rows:
-        raise place.at(f"line {begins['A']}").error(_NO_ROWS)
-    nulls = {str(las.well["NULL"].value)} if "NULL" in las.well else set[str]()
-    return Cells(header, begins["C"], _table(rows), frozenset(nulls))
+    nulls = [str(las.well["NULL"].value)] if "NULL" in las.well else []
+    return _table(place, rows, names_line, nulls), names
 
 
 def line_ranges(lines: Int[np.ndarray, " lines"]) -> str:

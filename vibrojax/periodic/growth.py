@@ -209,12 +209,12 @@ def _returns(
     rows = jnp.full((RETURNS_PER_CALL, 2 + len(state), *zero.shape), jnp.nan, zero.dtype)
     unarmed = jnp.zeros_like(zero, bool)
 
-    def along_section(tangent: Array) -> Values:
+    def along_section(state: Array, tangent: Array) -> Values:
         moved: Values = jax.jvp(lambda x: scene.onto_section(c, at_section(scene, x)), (state,), (tangent,))[1]
         return moved
 
     lane = lane_at(scene, c, scene.onto_section(c, begin))
-    carry = _Carry(lane, along_section(tangent * scale), unarmed, zero, zero, zero, rows)
+    carry = _Carry(lane, along_section(state, tangent * scale), unarmed, zero, zero, zero, rows)
 
     def return_states(state: Values) -> Array:
         return jnp.stack([state[scene.place(name)] for name in scene.return_states])
@@ -236,12 +236,12 @@ def _returns(
             moved, (_, (lane, step)) = carry.tangent, step_from(carry.lane.state)
         armed, returns = passed(scene, section, c, carry.armed, step)
         here = returns & moving
-        scaled = return_states(moved) / scale
+        after, scaled = return_states(lane.state), return_states(moved) / scale
         norm = jnp.sqrt(jnp.sum(scaled * scaled, axis=0))
         # If everything sticks, the tangent may vanish. It then starts again in an arbitrary direction.
-        unit = along_section(jnp.where(norm[None] > 0, scaled / norm[None], len(state) ** -0.5) * scale)
+        unit = along_section(after, jnp.where(norm[None] > 0, scaled / norm[None], len(state) ** -0.5) * scale)
         since = carry.since + step.dt
-        row = jnp.stack([jnp.log(norm), since, *return_states(lane.state)])
+        row = jnp.stack([jnp.log(norm), since, *after])
         place = jnp.where(here, carry.number, RETURNS_PER_CALL).astype(jnp.int32)
         put = jax.vmap(lambda rows, place, row: rows.at[place].set(row, mode="drop"), in_axes=-1, out_axes=-1)
         return _Carry(

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Mapping
 from textwrap import fill
 from typing import Any
 
@@ -56,6 +57,14 @@ def scale(data: xr.DataArray) -> tuple[float, str]:
     greatest = values[np.isfinite(values)].max(initial=0.0)
     prefixed = _PREFIXED.get(unit, ())
     return next(((factor, name) for name, factor, low, high in prefixed if low <= greatest < high), (1.0, unit))
+
+
+def in_units(ds: xr.Dataset, units: Mapping[str, tuple[float, str]]) -> xr.Dataset:
+    """Return a dataset with its variables in other units: by SI unit, the factor to the other one and its name."""
+    for name, data in ds.data_vars.items():
+        if other := units.get(str(data.attrs.get("units"))):
+            ds = ds.assign({name: data.copy(data=other[0] * data.values).assign_attrs(units=other[1])})
+    return ds
 
 
 def pretty_unit(unit: str) -> str:

@@ -5,6 +5,7 @@ import inspect
 import linecache
 import sys
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from vibrojax.errors import InputError
 from vibrojax.measures import GAUGES
 from vibrojax.physics.parameters import Parameter
 from vibrojax.scenes import Scene
@@ -30,6 +32,9 @@ _ARRAYS = ("jax", "jaxlib")
 """Packages whose objects with `__array__` are arrays; jax itself need not be imported to recognise them."""
 
 _CODE = "code."
+
+_FIRST: dict[Scene[Any], dict[str, object]] = {}
+"""Digests at the first use of each scene in this process, under the key under which its compiled code is kept."""
 
 
 def is_code(name: str) -> bool:
@@ -48,7 +53,12 @@ def code_identity(scene: Scene[Any], options: Iterable[str] = (), **others: obje
     roots = {"scene": [type(scene), *settings, *gauges], **{name: [getattr(scene, name)] for name in options}}
     roots |= {name: [value] for name, value in others.items()}
     digests = {f"{_CODE}{name}": code_digest(*parts) for name, parts in roots.items()}
-    return {name: digest for name, digest in digests.items() if digest is not None}
+    found: dict[str, object] = {name: digest for name, digest in digests.items() if digest is not None}
+    first = _FIRST.setdefault(scene, found)
+    if any(first.get(name) != found.get(name) for name in {*first, *found} - {f"{_CODE}{name}" for name in others}):
+        text = "a value that its functions use has changed since its first run, which compiled code does not see"
+        raise InputError(f'scene "{scene.name}": {text}; define it again, or make the value a parameter')
+    return found
 
 
 def code_digest(*roots: object) -> str | None:
@@ -77,15 +87,19 @@ class _Walk:
         self.has_code = False
         self._seen: dict[int, object] = {}
         self._referrer: str | None = None  # top-level module of the code that refers to the visited object
+        self._searching = False  # whether only code counts, not constants
 
     def visit(self, x: Any) -> None:
         if x is None or isinstance(x, (bool, int, float, complex, str, bytes)):
-            self.parts.append(repr(x))
+            if not self._searching:
+                self.parts.append(repr(x))
             return
         if id(x) in self._seen:
             return
         self._seen[id(x)] = x
         if isinstance(x, (np.ndarray, np.generic)) or (_top(type(x).__module__) in _ARRAYS and hasattr(x, "__array__")):
+            if self._searching:
+                return
             array = np.ascontiguousarray(x)
             self.parts.append(f"{array.dtype.str} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}")
         elif isinstance(x, FunctionType):
@@ -94,9 +108,23 @@ class _Walk:
             self._visit_class(x)
         elif isinstance(x, (ModuleType, Parameter)):
             return  # the values of parameters are in the identity already
+        elif _top(type(x).__module__) == _PACKAGE and not is_dataclass(x) and not isinstance(x, tuple):
+            # What the package derived from the user's functions is found again from them.
+            kind = type(x)
+            self._search(v for k, v in vars(x).items() if not isinstance(getattr(kind, k, None), cached_property))
         else:
+            searching = self._searching
+            self._searching = searching and isinstance(x, (dict, MappingProxyType, list, tuple, set, frozenset))
             for part in self._parts_of(x):
                 self.visit(part)
+            self._searching = searching
+
+    def _search(self, parts: Iterable[Any]) -> None:
+        """Visit the user's code to which these parts lead."""
+        searching, self._searching = self._searching, True
+        for part in parts:
+            self.visit(part)
+        self._searching = searching
 
     def _parts_of(self, x: Any) -> Iterator[Any]:
         """Yield the objects on which `x` depends, which is neither a function nor a class."""
@@ -120,19 +148,23 @@ class _Walk:
             yield from (type(x), dict(getattr(x, "__dict__", {})))
         elif is_dataclass(x):
             # Names and references of the package's own classes do not affect results.
-            yield from (value for field in fields(x) if not isinstance(value := getattr(x, field.name), str))
+            yield from (getattr(x, field.name) for field in fields(x) if field.name not in ("name", "reference"))
 
     def _visit_function(self, function: FunctionType) -> None:
+        cells = []
+        for cell in function.__closure__ or ():
+            with suppress(ValueError):  # the cell is empty
+                cells.append(cell.cell_contents)
         if not self._follows(function.__module__):
+            if _top(function.__module__) == _PACKAGE:
+                self._search(cells)
             return
         self.has_code = True
         self.parts += [function.__qualname__, _source(function.__code__)]
         referrer, self._referrer = self._referrer, _top(function.__module__)
-        for cell in function.__closure__ or ():
-            try:
-                self.visit(cell.cell_contents)
-            except ValueError:  # the cell is empty
-                continue
+        searching, self._searching = self._searching, False
+        for content in cells:
+            self.visit(content)
         self.visit(function.__defaults__)
         self.visit(function.__kwdefaults__)
         names = sorted(_names(function.__code__))
@@ -142,7 +174,7 @@ class _Walk:
                     self.visit(getattr(value, name, None))
             else:
                 self.visit(value)
-        self._referrer = referrer
+        self._referrer, self._searching = referrer, searching
 
     def _visit_class(self, kind: type) -> None:
         for base in kind.__mro__:

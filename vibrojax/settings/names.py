@@ -17,6 +17,7 @@ from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.meanings import suggest_by_meaning, suggest_parameter
 from vibrojax.physics.parameters import FREQUENCIES, REPLACED, Parameter, substitutes
 from vibrojax.scenes import SCENES, HasContact, HasRock, Scene
+from vibrojax.settings.code_identity import code_identity
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.settings.toml import TOP_KEYS
 from vibrojax.settings.values import STATE, choice, quantity
@@ -214,6 +215,7 @@ def read_names(
         options[option] = value if is_value else values[choice(here, value, tuple(values))]
     if chosen:
         system = replace(system, **options)  # type: ignore[type-var] # it has options, so it is a dataclass
+    code_identity(system, options)  # refuses a scene whose code has changed since it was compiled
     return Names(system, {option: str(getattr(value, "name", value)) for option, value in options.items()})
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import InputError, Place, shown, suggestion
-from vibrojax.io.tables import read_text
+from vibrojax.io.files import read_text
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FrictionLaw
 from vibrojax.scenes import Scene

@@ -115,7 +115,7 @@ class Analysis(Settings):
     """Dimension of the analysis's datasets whose size the command prints."""
 
     view: ClassVar[str] = "map"
-    """View in the explorer: "map", "curves" (drawn over the map of a sweep), "families", "motion" or "plots".
+    """View in the explorer: "map", "curves" (over the map of a sweep), "families", "orbits", "motion" or "plots".
 
     "plots" stands for the analysis's own picture and summary, which most other views show, too.
     """
@@ -171,8 +171,11 @@ class Analysis(Settings):
         """
         return [self.plots(ds)]
 
-    def page_lanes(self, ds: xr.Dataset) -> "tuple[xr.Dataset, Sweep] | None":
-        """Return the lanes that the explorer page shows beside the plots, and their sweep; by default none."""
+    def page_cells(self, ds: xr.Dataset) -> "tuple[xr.Dataset, Sweep | None] | None":
+        """Return the cells that the explorer page shows beside the plots, and their sweep; by default none.
+
+        Without a sweep, cells have no motions, and are chosen in the plots alone.
+        """
         return None
 
     def page_text(self, ds: xr.Dataset) -> Sequence[SummaryPart]:

@@ -208,7 +208,7 @@ def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
             stacked.append(Line(*bars(along[occurs], low[occurs], high[occurs]), "#333333", 0.7))
             if len(names) > 1:
                 velocity = np.where(occurs, facet[_VELOCITY].values[:, number] * scale(ds[_VELOCITY])[0], np.nan)
-                look: Look = {"marker": "o", "size": 2.6, "order": 2.5 - 0.001 * number, "clip": False}
+                look: Look = {"marker": "o", "size": 3.6, "order": 2.5 - 0.001 * number, "clip": False}
                 velocities.insert(0, Line(along, velocity, _colour(number), 1.3, **look))
         for i, (name, layers) in enumerate(zip(names, (stacked, velocities), strict=False)):
             up = Axis("share of starts [%]", limits=(0.0, 100.0), group=name)
@@ -379,9 +379,9 @@ class Attractors(SweepAnalysis):
         unassigned, lanes = int(ds["unassigned"].sum()), ds[LANES].size
         share = ds["share"].values.reshape(ds["unassigned"].size, ds.sizes[ATTRACTOR])
         numbers, counts = np.unique((share > 0).sum(axis=1), return_counts=True)
-        points = ", ".join(f"{number} at {count}" for number, count in zip(numbers, counts, strict=True))
+        points = [f"{number} at {counted(count, 'point')}" for number, count in zip(numbers, counts, strict=True)]
         lines = [
-            f"at a point: {points} (attractors at points)",
+            f"attractors at a point: {', '.join(points)}",
             f"{unassigned} of {counted(lanes, 'lane')} unassigned ({100 * unassigned / max(lanes, 1):.1f} %)",
         ]
         regime, meanings = ds["regime"].values.reshape(share.shape), flags(ds["regime"])
@@ -390,7 +390,9 @@ class Attractors(SweepAnalysis):
             kinds, sizes = np.unique(regime[mask, number], return_counts=True)
             names = ", ".join(meanings[int(kinds[k])] for k in np.argsort(-sizes, kind="stable"))
             percent = 100 * share[:, number].mean()
-            lines.append(f"{number:>4}{percent:>7.1f} % of starts{int(mask.sum()):>7} points  {names}")
+            lines.append(
+                f"attractor {number}: {percent:.1f} % of starts, at {counted(int(mask.sum()), 'point')}: {names}"
+            )
         if share.shape[1] > _SHOWN:
             lines.append(f"and {share.shape[1] - _SHOWN} more of smaller shares")
         facts = {"shares": ds["share"].mean(grid).values, "unassigned": unassigned}

@@ -287,16 +287,17 @@ def _read_table(
             data = open_dataset(path)
         else:
             cells = read_cells(place, path)
-            header, rows, numbers = cells.header, cells.rows, cells.rows.index.to_numpy()
-            if len({*header}) < len(header):
-                raise place.at(f"line {cells.line}").error("has two columns of one name; give each column once")
-            needed = [k for k, name in enumerate(header) if chosen is None or quantity_of(name)[0]]
-            mark, data = decimal_mark(rows[k] for k in needed), {}
-            for k in needed:
-                data[header[k]], bad = to_numbers(rows[k], mark, ())
-                for line, cell in rows[k][bad].items():
+            numbers = cells.index.to_numpy()
+            if not cells.columns.is_unique:
+                here = place.at(f"line {cells.attrs['line']}")
+                raise here.error("has two columns of one name; give each column once")
+            needed = [name for name in cells if chosen is None or quantity_of(name)[0]]
+            mark, data = decimal_mark(cells[name] for name in needed), {}
+            for name in needed:
+                data[name], bad = to_numbers(cells[name], mark, ())
+                for line, cell in cells[name][bad].items():
                     fault = f"{shown(str(cell).strip())} is not a number; write one, like 0.4, or leave it empty"
-                    raise place.at(f"line {line}, column {header[k]}").error(fault)
+                    raise place.at(f"line {line}, column {name}").error(fault)
     if isinstance(data, xr.Dataset):
         data = {name: x.values for name, x in data.variables.items() if x.ndim == 1}
     if not isinstance(data, (Mapping, pd.DataFrame)):

@@ -221,7 +221,7 @@ def _check(ds: xr.Dataset, names: Sequence[str]) -> None:
     noun = "time" if run else "point of the families" if orbits else "lane"
     analysis = analysis_of(ds)
     for name in names:
-        if not lanes and analysis.view == "plots":
+        if not lanes and analysis.view in ("plots", "orbits"):
             whole = f"a {analysis.kind} is drawn as a whole"
             raise InputError(f"variable: {shown(name)} has no picture of its own, since {whole}; leave it out")
         if name in ds.data_vars and name not in drawable:

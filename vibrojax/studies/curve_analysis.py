@@ -11,7 +11,7 @@ from vibrojax.io.attributes import flags
 from vibrojax.io.kinds import OF_CURVES
 from vibrojax.pictures.axes import axis, margins, scale
 from vibrojax.pictures.overlays import axes_of, codim2_layers, curve_layers
-from vibrojax.pictures.plots import Plot, Sheet
+from vibrojax.pictures.plots import Layer, Plot, Sheet, dots
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 
 _MOST_NOTES = 4  # lines of the summary for single curves
@@ -21,7 +21,10 @@ _DIGITS = 9  # crossings and points of codimension two are located to nine digit
 def curves_picture(ds: xr.Dataset) -> Sheet:
     """Draw curves of special points over two parameters, with their points of codimension two and their crossings."""
     x, y = axes_of(ds)
-    layers = [*curve_layers(ds, np.ones(ds.sizes["curve"], bool), x, y), *codim2_layers([ds], x, y)]
+    layers: list[Layer] = [*curve_layers(ds, np.ones(ds.sizes["curve"], bool), x, y), *codim2_layers([ds], x, y)]
+    if ds.sizes.get("crossing", 0):
+        places = [scale(ds[name])[0] * ds[f"crossing_{name}"].values for name in (x, y)]
+        layers.append(dots(*places, label="crossing", marker="x", size=6.0, order=4.0))
     limits = {name: [scale(ds[name])[0] * bound for bound in bounds] for name, bounds in bounds_of(ds).items()}
     across, up = (axis(ds[name], limits=tuple(limits[name])) for name in (x, y))
     note = "Lines: orbits at which the motion changes, stable or not"
@@ -96,7 +99,7 @@ class Curves(Analysis):
     kind = "curves"
     variables = OF_CURVES
     counted = "curve"
-    view = "plots"
+    view = "orbits"
     pictures = (PictureRule("curves of special points", lambda held: True, curves_picture),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:

@@ -69,7 +69,7 @@ def curves(
 
     **Arguments:**
 
-    - `family`: result of `follow`.
+    - `family`: result of `follow`; one of equilibria (`cycles=0`) has no curves.
     - `by`: second parameter; `span`: its lower and upper bound, which enclose its value in the family.
     - `special`: index of one special point of the family, or several; by default all that can be continued.
     - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which curves pass this value are

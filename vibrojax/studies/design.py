@@ -247,7 +247,7 @@ class Designs(FileAnalysis[DesignSpec]):
         about |= {"lanes": search.counts["lanes"], "orbit_solves": search.counts["orbits"]}
         return self.dataset(data, coords, title=title, **about)
 
-    def page_lanes(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
+    def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
         """Return the candidates as points of a sweep, with their variables."""
         tables = tomllib.loads(str(ds.attrs.get("design", "")))
         if "scene" not in tables:

@@ -20,7 +20,7 @@ from vibrojax.periodic.flow_map import Flow
 from vibrojax.periodic.hopf import orbit_at_hopf
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
-from vibrojax.periodic.problem import UNITS_PER_SPAN, Problem, towards
+from vibrojax.periodic.problem import UNITS_PER_SPAN, Points, Problem, towards
 from vibrojax.periodic.return_map import MOST_STEPS
 from vibrojax.periodic.segments import Mark
 from vibrojax.periodic.timed_families import TimedContinuation, at_section, free_problem, returning_orbit, through
@@ -34,6 +34,9 @@ SAME_CENTRE = 1e-3
 
 GIVEN_DISTANCE = 0.3
 """Largest scaled distance of the orbit that is found from the one that is given."""
+
+REPEATS = 1e-6
+"""Distance of states, relative to their swing, within which an orbit repeats; it converged to 1e-9."""
 
 ANOTHER = "the next orbit that Newton's method finds is another one, of period {:.6g} s"
 
@@ -301,16 +304,34 @@ def _given_orbit(
     own = dict(zip(section.scene.start_states, states, strict=True))
     value = section.parameters[along][:1]
     begin = np.array([[own[name] for name in section.moving]])
-    timed, [u] = through(section, family, begin, np.array([period]), value)
-    point, converged = timed.correct(family, u[None], towards(u[None], 1.0), u[None, -1])
-    if not converged[0]:
-        raise place.error(
-            f"Newton's method finds no periodic orbit near these states at {along} = {value[0]:g} "
-            f"(residual {point.residual[0]:.1e}); give states on an orbit, and its period"
-        )
-    if np.abs(point.u[0] - u).max() > GIVEN_DISTANCE * np.abs(u).max():
-        raise place.error(ANOTHER.format(float(point.period[0])))
-    return timed, family, [point.u[0]]
+    while True:
+        timed, [u] = through(section, family, begin, np.array([period]), value)
+        point, converged = timed.correct(family, u[None], towards(u[None], 1.0), u[None, -1])
+        if not converged[0]:
+            raise place.error(
+                f"Newton's method finds no periodic orbit near these states at {along} = {value[0]:g} "
+                f"(residual {point.residual[0]:.1e}); give states on an orbit, and its period"
+            )
+        if np.abs(point.u[0] - u).max() > GIVEN_DISTANCE * np.abs(u).max():
+            raise place.error(ANOTHER.format(float(point.period[0])))
+        begin = timed.states(family, point.u)[:, 0]
+        parts = _repeats(timed, point)
+        if parts == 1:
+            return timed, family, [point.u[0]]
+        period = float(point.period[0]) / parts
+
+
+def _repeats(timed: TimedProblem, point: Points) -> int:
+    """Return how often an orbit repeats within the period that belongs to it, if that is a multiple of its own.
+
+    With a multiple, multipliers are powers, and a period doubling looks like a branch point.
+    """
+    states = timed.states(point.family, point.u)[0]
+    parts = np.arange(2, MOST_CYCLES + 1)
+    parameters = {name: np.repeat(x, parts.size) for name, x in timed.parameters_at(point.family, point.u).items()}
+    ends = np.asarray(timed.flow(parameters, np.tile(states[:1].T, parts.size), point.period[0] / parts).state)
+    same = np.abs(ends.T - states[0]).max(axis=1) < REPEATS * np.ptp(states, axis=0).max()
+    return int(parts[same].max(initial=1))
 
 
 def _traced_orbit(section: Problem, period: float, lane: xr.Dataset) -> Orbits:
@@ -334,4 +355,6 @@ def _traced_orbit(section: Problem, period: float, lane: xr.Dataset) -> Orbits:
         raise place.error(f"Newton's method finds no periodic orbit near these states ({residual})")
     if abs(orbit.times.sum() - period) > GIVEN_DISTANCE * period:
         raise place.error(ANOTHER.format(float(orbit.times.sum())))
-    return orbit
+    apart = np.abs(orbit.states[0] - orbit.states[0, :1]).max(axis=1) / orbit.scales.max()
+    shorter = next((k for k in range(1, cycles) if cycles % k == 0 and apart[k] < REPEATS), cycles)
+    return orbit if shorter == cycles else Orbits.trace(scene, section.parameters, orbit.states[:, 0], shorter)

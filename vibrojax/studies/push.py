@@ -41,7 +41,6 @@ _PUSH = "push_"
 _SIDES = {-1: ("#0072B2", "v", "negative push"), 1: ("#D55E00", "^", "positive push")}
 _RETURNS: Look = {"edge": "#B3B3B3", "hatch": "//"}  # every push tried returns
 _BOUND: Look = {"colour": "#808080", "dash": "--", "width": 0.9}
-_EDGE = "#595959"
 _MOTION = "motion"
 """Dimension of the explorer page: the motion on the working cycle, and after the smallest push in each state."""
 
@@ -63,12 +62,9 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
     leaving = any(bool(ds[f"{_PUSH}{state}"].notnull().any()) for state in states)
     keys: list[Layer] = [key(side, colour=c, marker=m, width=1.0) for c, m, side in _SIDES.values() if several]
     if not several:
-        ends: dict[int, str] = {}
-        for state in states:
-            names = regime_names(ds[f"regime_{state}"])
-            flags_here = regime_cells(ds[f"regime_{state}"]).astype(int).tolist()
-            ends |= {flag: names[flag] for flag in flags_here if flag > 0}
-        keys += [patch(REGIME_COLOURS[flag], ends[flag]) for flag in sorted(ends)]
+        names = regime_names(ds["regime"])
+        ends = {int(flag) for state in states for flag in regime_cells(ds[f"regime_{state}"]) if flag > 0}
+        keys += [patch(REGIME_COLOURS[flag], names[flag]) for flag in sorted(ends)]
     if returning:
         hollow = dots(label="every push tried returns", marker=_SIDES[1][1], face="none")  # of either side
         keys.append(hollow if several else patch("#FFFFFF", hollow.label, **_RETURNS))
@@ -94,7 +90,7 @@ def _curves(ds: xr.Dataset, state: str) -> Plot:
     layers.append(Line(x[order], bound[order], **_BOUND))
     top = 1.12 * float(np.nanmax([bound, *(push.transpose("sign", ...).values * factor)]))
     across = axis(ds[over], group="over") if over in ds.coords else Axis("machine", group="over")
-    up = Axis(_words(state, unit), limits=(-0.03 * top, top or 1.0))
+    up = Axis(with_unit(f"push in {SYMBOLS.get(state, state)}", unit), limits=(-0.03 * top, top or 1.0))
     return Plot(layers, across, up, at={_MOTION: _after(state)})
 
 
@@ -107,26 +103,22 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
     for side, (size, flag) in enumerate(zip(push.values * factor, regime_cells(ds[f"regime_{state}"]), strict=True)):
         leaves = bool(np.isfinite(size))
         height = float(size) if leaves else bound if stable else 0.0
-        look: Look = {"colours": "#FFFFFF"} | _RETURNS
-        if leaves:
-            look = {"colours": REGIME_COLOURS[int(flag)], "edge": _EDGE}
+        look: Look = {"edge": "#595959"} if leaves else _RETURNS
+        fill = REGIME_COLOURS[int(flag)] if leaves else "#FFFFFF"
         text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
         up = height if leaves else height / 2
-        layers.append(Bars([side - 0.3], [0.0], [0.6], [height], **look))
+        layers.append(Bars([side - 0.3], [0.0], [0.6], [height], fill, **look))
         layers.append(Text(float(side), up, text, baseline="bottom", box=True, offset=(0.0, 3.0 * leaves)))
     ticks = [(float(k), _SIDES[int(sign)][2]) for k, sign in enumerate(ds["sign"].values)]
     top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
-    size_axis = Axis(_words(state, unit), limits=(0.0, top or 1.0), ticks=None if stable else [])
+    label = with_unit(f"push in {SYMBOLS.get(state, state)}", unit)
+    size_axis = Axis(label, limits=(0.0, top or 1.0), ticks=None if stable else [])
     across = Axis(name="sign", ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over")
     return Plot(layers, across, size_axis, at={_MOTION: _after(state)}, grid="")
 
 
 def _after(state: str) -> str:
     return f"after the push in {SYMBOLS.get(state, state)}"
-
-
-def _words(state: str, unit: str) -> str:
-    return with_unit(f"push in {SYMBOLS.get(state, state)}", unit)
 
 
 SCAN, PRECISION = 256, 1e-3
@@ -361,7 +353,7 @@ class Pushes(MachineAnalysis[Machines]):
         bounds |= {name: np.full(cycle.sizes["point"], x) for name, x in self.most.items()}
         return np.stack([bounds[name] for name in system.start_states], axis=1)
 
-    def page_lanes(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
+    def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
         """Return the machines with the number of the lane of each motion, and the sweep of these lanes.
 
         Motions are those on the working cycle and after the smallest push in each state variable; if every push
@@ -376,7 +368,6 @@ class Pushes(MachineAnalysis[Machines]):
         begin = cycle[:, None, None] + np.pad(pushes, [(0, 0), (0, 0), (1, 0), (0, 0)])
         ends = np.pad(ends, [(0, 0), (0, 0), (1, 0)])
         regime = np.where(ends > 0, ends, machines["regime"].values[:, None, None])
-
         machine = np.broadcast_to(np.arange(count)[:, None, None], regime.shape)
         known, number = np.isfinite(begin).all(axis=-1), np.full(regime.shape, -1, np.int32)
         lanes, index = np.unique(np.column_stack([machine[known], begin[known]]), axis=0, return_inverse=True)
@@ -399,8 +390,32 @@ class Pushes(MachineAnalysis[Machines]):
         return (shown if POINT in ds.dims else shown.isel({POINT: 0}, drop=True)), sweep
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return a line for each machine, state variable and sign of the push."""
-        return [SummaryPart("pushes", push_lines(ds))]
+        """Return the working cycle of each machine, and a line for each state variable and sign of the push.
+
+        The line contains the smallest push and the regime in which the motion then ends.
+        """
+        machines = ds if "point" in ds.dims else ds.expand_dims("point")
+        varied = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
+        meanings = flags(ds["regime"])
+        lines = []
+        for index in range(machines.sizes["point"]):
+            machine = machines.isel(point=index)
+            values = [f"{name} = {machine[name].item():g}" for name in varied if machine[name].dtype.kind == "f"]
+            lines += [f"{', '.join(values)}:"] if values else []
+            regime = meanings[int(machine["regime"])]
+            if not float(machine["bound_x1"]) > 0:
+                lines.append(f"no stable cycle ({regime})")
+                continue
+            lines.append(f"working cycle: {regime}, {float(machine['period']):.5g} s")
+            for state in _pushed(machine):
+                push, bracket, ends = (machine[f"{part}_{state}"].values for part in ("push", "bracket", "regime"))
+                unit = machine[f"{_PUSH}{state}"].attrs["units"].replace(" s-1", "/s")
+                for k, sign in enumerate("-+"):
+                    text = f"{push[k]:.4g} {unit} (within {bracket[k]:.1g}): {meanings.get(int(ends[k]))}"
+                    if np.isnan(push[k]):
+                        text = f"none up to {float(machine[f'bound_{state}']):.4g} {unit} leaves it"
+                    lines.append(f"  {state} {sign}  {text}")
+        return [SummaryPart("pushes", lines)]
 
 
 def _outcomes(
@@ -427,35 +442,6 @@ def _outcomes(
     # An irregular motion near an orbit may still converge to this orbit: it has neither returned nor left.
     irregular = (regime == IRREGULAR) & (found["nearby_cycles"] == 0)
     return returned, ~returned & (on_another | irregular | (regime == EQUILIBRIUM)), regime
-
-
-def push_lines(ds: xr.Dataset) -> list[str]:
-    """Return lines of text: the working cycle of each machine, then its smallest pushes.
-
-    The line of each state variable and sign contains the smallest push and the regime in which the motion then ends.
-    """
-    machines = ds if "point" in ds.dims else ds.expand_dims("point")
-    varied = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
-    meanings = flags(ds["regime"])
-    lines = []
-    for index in range(machines.sizes["point"]):
-        machine = machines.isel(point=index)
-        values = [f"{name} = {machine[name].item():g}" for name in varied if machine[name].dtype.kind == "f"]
-        lines += [f"{', '.join(values)}:"] if values else []
-        regime = meanings[int(machine["regime"])]
-        if not float(machine["bound_x1"]) > 0:
-            lines.append(f"no stable cycle ({regime})")
-            continue
-        lines.append(f"working cycle: {regime}, {float(machine['period']):.5g} s")
-        for state in _pushed(machine):
-            push, bracket, ends = (machine[f"{part}_{state}"].values for part in ("push", "bracket", "regime"))
-            unit = machine[f"{_PUSH}{state}"].attrs["units"].replace(" s-1", "/s")
-            for k, sign in enumerate("-+"):
-                text = f"{push[k]:.4g} {unit} (within {bracket[k]:.1g}): {meanings.get(int(ends[k]))}"
-                if np.isnan(push[k]):
-                    text = f"none up to {float(machine[f'bound_{state}']):.4g} {unit} leaves it"
-                lines.append(f"  {state} {sign}  {text}")
-    return lines
 
 
 def _pushed(ds: xr.Dataset) -> list[str]:

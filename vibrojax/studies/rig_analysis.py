@@ -11,15 +11,16 @@ from jaxtyping import Float
 from vibrojax.errors import InputError, Place
 from vibrojax.io.attributes import text_of
 from vibrojax.io.log_columns import KNOWN, LINE, RATE, ROTATION_SPEED, WEIGHT
-from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, Where, log_lines, read_needed, to_dataset
+from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, Where, log_lines, read_log, to_dataset
 from vibrojax.io.variables import Variable
-from vibrojax.pictures.axes import margins, pretty_unit
+from vibrojax.pictures.axes import in_units, margins, pretty_unit
+from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots, upright
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.settings.values import choice, warn_if_far
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.analysis import Source as AnalysisSource
-from vibrojax.studies.rop_group import LEAST_CLEANED, clean
+from vibrojax.studies.rop_group import LEAST_CLEANED, Founder, clean
 
 WINDOW = 30.0
 """Length [s] of the windows of the stick-slip index from torque: several periods of a drill string's torsion."""
@@ -53,6 +54,7 @@ _DRILLERS = {
     "N": (1e-3, "kN"),
     "N m": (1e-3, "kN m"),
     "J m-3": (1e-6, "MPa"),
+    "Pa": (1e-6, "MPa"),
 }
 """Factor and name of the units of drillers, by SI unit."""
 
@@ -106,50 +108,48 @@ def rig(
     >>> (log.specific_energy / 1e6).values.round().tolist()  # MPa
     [346.0, 312.0]
     """
-    table = read_needed(source, columns, where, nulls, name="rig")
+    table = read_log(source, columns, where, nulls)
     for header, name, median, likely in table.attrs["unusual"]:
         warn_if_far(Place(table.attrs["title"], f"column {header}"), KNOWN[name], median, likely)
-    log = to_dataset(table)
-    # Names of other columns may hold what a netCDF file does not accept.
-    log = log.drop_vars([name for name in log.coords if name != LINE])
-    if RATE not in log:
+    if RATE not in table:
         raise InputError(f'rig: the log has no rate of penetration; name its column: --columns {RATE}="ROP (m/h)"')
-    none = np.full(log.sizes["row"], np.nan)
-    of = {str(name): log[name].values.astype(float) for name in log.data_vars}
-    rate, area = of[RATE], np.pi / 4 * of.get("bit_diameter", none) ** 2
-    weight, torque, speed = (of.get(name, none) for name in (WEIGHT, "torque", ROTATION_SPEED))
+    of = table.reindex(columns=[RATE, WEIGHT, ROTATION_SPEED, "torque", "bit_diameter", "impact_power", "time"])
+    rate, weight, speed, torque, diameter, power, clock = of.to_numpy(float).T
     with np.errstate(divide="ignore", invalid="ignore"):
+        area = np.where(rate > 0, np.pi / 4 * diameter**2, np.nan)
         values = {
-            "specific_energy": np.where(rate > 0, weight / area + speed * torque / (area * rate), np.nan),
-            "percussive_specific_energy": np.where(rate > 0, of.get("impact_power", none) / (area * rate), np.nan),
-            "torque_stick_slip": torque_stick_slip(of.get("time", none), torque),
+            "specific_energy": weight / area + speed * torque / (area * rate),
+            "percussive_specific_energy": power / (area * rate),
+            "torque_stick_slip": torque_stick_slip(clock, torque),
         }
-    notes = [log.attrs["notes"]] if log.attrs["notes"] else []
-    for name, names in _NEEDED.items():
-        if missing := [column for column in names if column not in of]:
+    notes = list(table.attrs["notes"])
+    for name, needed in _NEEDED.items():
+        if missing := [column for column in needed if column not in table]:
             hint = ', which columns may give, like bit_diameter="8.5 in"' * ("bit_diameter" in missing)
             notes.append(f"{name} is not known: the log has no {' and no '.join(missing)}{hint}")
         elif name == "torque_stick_slip" and not np.isfinite(values[name]).any():
             notes.append(f"{name} is not known: rows are more than {SLOWEST_SAMPLING:g} s apart")
     measures: dict[str, Any] = {name: ("row", value) for name, value in values.items()}
     measures |= {name: ((), value) for name, value in founder_point(weight, rate).items()}
-    own = Rigs().dataset(measures, {}, title=log.attrs["title"])
-    more = {"notes": "; ".join(notes), "drawn_in": choice(Place("rig", "units"), units, UNITS)}
-    return log.assign(own.data_vars).assign_attrs(own.attrs | more)
+    own, log = Rigs().dataset(measures, {}, title=table.attrs["title"]), to_dataset(table)
+    # Names of other columns may hold what a netCDF file does not accept.
+    log = log.drop_vars([name for name in log.coords if name != LINE]).assign(own.data_vars)
+    drawn_in = choice(Place("rig", "units"), units, UNITS)
+    return log.assign_attrs(own.attrs | {"notes": "; ".join(notes), "drawn_in": drawn_in})
 
 
 def founder_point(weight: Rows, rate: Rows) -> dict[str, float]:
     """Return the founder weight [N], the slopes below and above it, and why there is none; rows in order of depth."""
     known = np.isfinite(weight) & np.isfinite(rate) & (weight > 0)
-    result = dict.fromkeys(("founder_weight", "slope_below", "slope_above"), np.nan)
-    x, y = weight[known], rate[known]
-    if x.size < LEAST_CLEANED or np.ptp(x) == 0:
-        return result | {"founder_reason": FOUNDER_REASONS.index("too-few-rows" if x.size else "no-weight")}
-    founder, wrong = clean(x / np.median(x), x, y)
-    below = ~np.any([*wrong.values(), x > founder.weight], axis=0)
-    slope = np.polyfit(x[below] / x.max(), y[below], 1)[0] / x.max()
-    reason = FOUNDER_REASONS.index("found" if founder.is_known else "no-bend")
-    return dict(zip([*result, "founder_reason"], (founder.weight, slope, -founder.fall, reason), strict=True))
+    x, y, slope, founder = weight[known], rate[known], np.nan, Founder()
+    reason = "too-few-rows" if x.size else "no-weight"
+    if x.size >= LEAST_CLEANED and np.ptp(x):
+        founder, wrong = clean(x / np.median(x), x, y)
+        below = ~np.any([*wrong.values(), x > founder.weight], axis=0)
+        slope = np.polyfit(x[below] / x.max(), y[below], 1)[0] / x.max()
+        reason = "found" if founder.is_known else "no-bend"
+    measures = {"founder_weight": founder.weight, "slope_below": slope, "slope_above": -founder.fall}
+    return measures | {"founder_reason": FOUNDER_REASONS.index(reason)}
 
 
 def torque_stick_slip(time: Rows, torque: Rows) -> Rows:
@@ -167,13 +167,18 @@ def torque_stick_slip(time: Rows, torque: Rows) -> Rows:
     return result
 
 
+def vertical(ds: xr.Dataset) -> tuple[Axis, Rows]:
+    """Return the axis of the tracks, the depth or else the row, and its value of each row."""
+    name = "depth" if "depth" in ds and np.isfinite(ds["depth"].values).all() else "row"
+    height = ds[name].values.astype(float) if name == "depth" else np.arange(ds.sizes["row"], dtype=float)
+    ends = float(height.min()), float(height.max())
+    return Axis("depth [m]" if name == "depth" else "row", name, ends, reversed=True, group="depth"), height
+
+
 def rig_picture(ds: xr.Dataset) -> Sheet:
     """Draw the rate over the weight with the founder point, and the tracks over depth or row."""
     tracks = [name for name in TRACKS if name in ds and np.isfinite(ds[name].values).any()]
-    over = "depth" if "depth" in ds and np.isfinite(ds["depth"].values).all() else ""
-    height = ds[over].values if over else np.arange(ds.sizes["row"])
-    ends = float(height.min()), float(height.max())
-    down = Axis("depth [m]" if over else "row", over, ends, reversed=True, group="depth")
+    down, height = vertical(ds)
     founder, force = float(ds["founder_weight"]) * _unit(ds, "N")[0], _unit(ds, "N")[1]
     mark: list[Layer] = [upright(founder, colour=IMPACT, dash="--", width=1.0)] if np.isfinite(founder) else []
     plots = []
@@ -206,8 +211,7 @@ def _axis(ds: xr.Dataset, name: str, text: str = "", intervals: int = 3) -> Axis
 
 def _unit(ds: xr.Dataset, unit: str) -> tuple[float, str]:
     """Return factor and name of the unit in which values in an SI unit are drawn and printed."""
-    drillers = {} if ds.attrs.get("drawn_in") == "si" else _DRILLERS
-    return drillers.get(unit, (1.0, pretty_unit(unit)))
+    return ({} if ds.attrs.get("drawn_in") == "si" else _DRILLERS).get(unit, (1.0, pretty_unit(unit)))
 
 
 def _drawn(ds: xr.Dataset, name: str) -> tuple[Rows, str]:
@@ -226,14 +230,22 @@ class Rigs(Analysis):
         """Compute the measures, as [vibrojax.rig][] does."""
         return rig(source)
 
+    def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, None]:
+        """Return the rows as points over depth or row, in the units of the tracks."""
+        down, height = vertical(ds)
+        units = {} if ds.attrs.get("drawn_in") == "si" else _DRILLERS
+        rows = in_units(ds.drop_vars(down.name, errors="ignore"), units).rename(row=POINT)
+        return rows.assign_coords({down.name: (POINT, height, {"units": "m" * (down.name == "depth")})}), None
+
+    def page_text(self, ds: xr.Dataset) -> list[SummaryPart]:
+        return self.summary(ds)[::-1]
+
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return how the log was read, the founder point, the medians of the measures, and what the log can inform."""
         reason, (factor, unit) = FOUNDER_REASONS[int(ds["founder_reason"])], _unit(ds, "N")
-        founder = float(ds["founder_weight"])
-        lines = [f"no founder point ({reason})"]
-        if reason == "found":
-            does = "falls" if float(ds["slope_above"]) < 0 else "does not rise"
-            lines = [f"founder point at a weight of {factor * founder:.4g} {unit}; above it the rate {does}"]
+        founder, does = float(ds["founder_weight"]), "falls" if float(ds["slope_above"]) < 0 else "does not rise"
+        lines = [f"founder point at a weight of {factor * founder:.4g} {unit}; above it the rate {does}"]
+        lines = lines if reason == "found" else [f"no founder point ({reason})"]
         facts: dict[str, object] = {"founder_weight": founder, "founder_reason": reason}
         for name in _NEEDED:
             values, unit = _drawn(ds, name)

@@ -5,7 +5,7 @@ read in three ways ("forms"): as printed, with P/D in percent, and as C ln(eta/e
 relief at which penetration begins. A straight line, a power law and a constant serve as comparison.
 
 A lane (here, one pair of relief and rate) at zero rate is censored; all others are *seen*. A censored lane has a
-residual only if the form predicts a positive rate.
+residual only if the form predicts a positive rate. Below its onset, a form predicts a rate of zero.
 
 Lanes of a log have correlated noise. *Whitening* subtracts from each residual what the preceding one predicts of it, so
 that the fit weights lanes by the independent information that they hold (Prais and Winsten 1954).
@@ -110,6 +110,9 @@ FORMULAS = {form.name: form.formula for form in FORMS}
 LOGARITHMIC = ("literal", "percent", "onset")
 """Names of the three readings of the source's law, eq. 6.4."""
 
+BEGINNING = ("onset", "line")
+"""Forms whose rate begins at a fitted onset: below it, they predict no penetration, whose noise may be positive."""
+
 SAME_AS_ONSET = ("literal", "percent")
 """Forms that have the same curve as the onset form if the threshold is unknown."""
 
@@ -145,9 +148,9 @@ class Model:
         if self.form.name == "power":
             predicted = np.exp(np.minimum(predicted, _LARGEST_EXPONENT))
             jacobian = predicted[:, None] * jacobian
-        seen = rate > 0
+        seen = rate > 0 if self.form.name not in BEGINNING else np.zeros(rate.size, bool)
         active = seen | (predicted > 0)
-        return np.where(seen, predicted - rate, np.maximum(predicted, 0.0)), jacobian * active[:, None], active
+        return np.where(active, predicted, 0.0) - rate, jacobian * active[:, None], active
 
     def coefficients(self, theta: Theta) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 coefficients"]]:
         """Return C, eta0 and exponent (NaN: the form has none), and their derivatives with respect to theta."""
@@ -169,17 +172,17 @@ class Model:
 def linear_problem(form: Form, columns: Columns, rate: ManyLanes, near: ManyLanes) -> tuple[Columns, ManyLanes]:
     """Return columns and targets of the linear least squares for theta over the seen lanes; censored lanes are zero.
 
-    The power law is linearised about the rates `near`.
+    Below the onset of the rates `near`, nothing is fitted. The power law is linearised about them.
     """
     if form.name != "power":
-        return (rate > 0)[..., None] * columns, rate
+        return ((rate > 0) & (near > 0))[..., None] * columns, rate
     near = np.where(rate > 0, near, 0.0)
     return near[..., None] * columns, rate - near + near * np.log(np.where(near > 0, near, 1.0))
 
 
-def whiten(values: np.ndarray, decay: Lanes) -> np.ndarray:
+def whiten(values: np.ndarray, decay: Lanes | None) -> np.ndarray:
     """Return residuals, or columns of a Jacobian, less what the preceding row predicts; `decay`: their correlation."""
-    if not decay.any():
+    if decay is None or not decay.any():
         return values
     decay = decay.reshape(-1, *[1] * (values.ndim - 1))
     return (values - decay * np.roll(values, 1, axis=0)) / np.sqrt(1 - decay**2)
@@ -201,17 +204,25 @@ class Minimum:
     influence: Lanes
 
 
-def minimise(model: Model, rate: Lanes, robust: bool, decay: Lanes | None = None) -> Minimum | None:
-    """Return the minimum of the sum of squares, or of SciPy's loss "soft_l1"; None if the search does not converge.
+def search(form: Form, relief: Lanes, rate: Lanes, robust: bool, decay: Lanes | None = None) -> Minimum | Reason:
+    """Return the fit of a form to one group, with rates in units of the greatest one, or the reason why it has none.
 
-    The scale of the robust loss is the standard deviation of the residuals by their median. Rates are of order one. A
-    linear form without censored lanes above its onset needs no search.
+    The fit minimises the sum of squares or, if `robust`, SciPy's loss "soft_l1", whose scale is the standard deviation
+    of the residuals by their median. A linear form without censored lanes above its onset needs no search. `decay`: the
+    correlation of each row with the preceding one.
     """
-    decay = np.zeros(rate.size) if decay is None else decay
-    columns, target = linear_problem(model.form, model.columns(model.relief), rate, rate)
+    seen = rate > 0
+    if not seen.any():
+        return Reason.ALL_CENSORED if seen.size else Reason.TOO_FEW_LANES
+    if seen.sum() <= form.size:
+        return Reason.TOO_FEW_LANES
+    if not np.std(np.log(relief[seen])) > LEAST_SPREAD:
+        return Reason.NO_SPREAD
+    model, rate = Model.of(form, relief, seen), rate / rate.max()
+    columns, target = linear_problem(form, model.columns(relief), rate, rate)
     theta, converged, scale = np.linalg.lstsq(whiten(columns, decay), whiten(target, decay))[0], True, np.inf
     residual, jacobian, active = model.residuals(theta, rate)
-    is_solved = model.form.name != "power" and not (active & ~(rate > 0)).any()
+    is_solved = form.name != "power" and np.array_equal(active, seen)
     for turn in range(is_solved, 1 + _SCALE_ROUNDS * robust):  # turn 0: of squares
         before = scale
         scale = _BOUND * max(spread_of(whiten(residual, decay)[active]), _LEAST_SCALE) if turn else np.inf
@@ -229,23 +240,11 @@ def minimise(model: Model, rate: Lanes, robust: bool, decay: Lanes | None = None
         theta, converged = solution.x, solution.status > 0 and bool(np.abs(solution.x).max() < _LARGEST_THETA)
         residual, jacobian, active = model.residuals(theta, rate)
     if not (converged and np.isfinite(theta).all()):
-        return None
+        return Reason.NOT_CONVERGED
     # The loss 2 s² (sqrt(1 + (r/s)²) - 1) has the slope 2 r (1 + (r/s)²)^(-1/2) and the curvature 2 (1 + ...)^(-3/2).
     white = whiten(residual, decay)
     bend = 1 + (white / scale) ** 2
     return Minimum(model, theta, residual, active, bend[:, None] ** -0.75 * whiten(jacobian, decay), bend**0.25 * white)
-
-
-def search(form: Form, relief: Lanes, rate: Lanes, robust: bool, decay: Lanes | None = None) -> Minimum | Reason:
-    """Return the fit of a form to one group, with rates in units of the greatest one, or the reason why it has none."""
-    seen = rate > 0
-    if not seen.any():
-        return Reason.ALL_CENSORED if seen.size else Reason.TOO_FEW_LANES
-    if seen.sum() <= form.size:
-        return Reason.TOO_FEW_LANES
-    if not np.std(np.log(relief[seen])) > LEAST_SPREAD:
-        return Reason.NO_SPREAD
-    return minimise(Model.of(form, relief, seen), rate / rate.max(), robust, decay) or Reason.NOT_CONVERGED
 
 
 def spread_of(residual: Lanes) -> float:

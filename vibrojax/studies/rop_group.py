@@ -1,40 +1,19 @@
-"""Fit of one group of lanes: wrong rows, the founder weight, and every form; and the groups of a fit.
+"""Fit of one group of lanes: wrong rows, the founder weight, and every form.
 
 The rows of a log are in order of depth. Neighbours are correlated, so that rows are neither drawn nor left out one by
 one, but in blocks that are longer than the correlation.
 """
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import xarray as xr
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
-from vibrojax.io.attributes import flags
-from vibrojax.studies.rop_forms import (
-    AIC_LIMIT,
-    BLOCK_LIMIT,
-    FORMS,
-    LEAST_SPREAD,
-    SAME_AS_ONSET,
-    LaneBlocks,
-    LaneFlags,
-    Lanes,
-    Minimum,
-    Model,
-    Reason,
-    Standing,
-    linear_problem,
-    moves_without,
-    search,
-    spread_of,
-    standings,
-    whiten,
-)
+from vibrojax.studies import rop_forms
+from vibrojax.studies.rop_forms import FORMS, LaneBlocks, LaneFlags, Lanes, Minimum, Model, search, spread_of, whiten
 
 LEAST_DEGREES_OF_FREEDOM = 2
 """Degrees of freedom below which forms are not compared: the correction of AIC for small samples, 2k(k + 1)/(n - k - 1)
@@ -84,6 +63,8 @@ FAR_WEIGHT, FAR_RATE = "weight far from all others", "rate far from the law"
 
 COEFFICIENTS = ("C", "eta0", "exponent")
 NAMES = [form.name for form in FORMS]
+_COLUMNS = [*COEFFICIENTS, *(f"{name}_stderr" for name in COEFFICIENTS), "r_squared", "aic", "cv_error"]
+_COLUMNS += ["evidence_against", "degrees_of_freedom", "used", "standing", "reason", "r_squared_reason"]
 
 
 class Founder(NamedTuple):
@@ -198,18 +179,13 @@ def _wrong_rates(residual: Lanes, weight: Lanes) -> LaneFlags:
 
 
 class _Profile(NamedTuple):
-    """Fits of a form for several founder weights: sums of squares, slope and fall, and residuals."""
+    """Fits of a form for several founder weights: sums of squares, theta and the fall, its error, and residuals."""
 
     model: Model
     squares: Float[np.ndarray, " bends"]
-    slope: Float[np.ndarray, " bends"]
-    fall: Float[np.ndarray, " bends"]
+    theta: Float[np.ndarray, "bends coefficients"]
     fall_stderr: Float[np.ndarray, " bends"]
     residual: Float[np.ndarray, "rows bends"]
-
-    def against(self, rows: int) -> Float[np.ndarray, " bends"]:
-        """Return the evidence against each founder weight."""
-        return rows * np.log(self.squares / self.squares.min())
 
 
 def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> tuple[Founder, Lanes | None]:
@@ -236,17 +212,19 @@ def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> 
             for bend in (np.array([np.inf]), bends)
         )
         rho = correlation(best.residual[:, np.argmin(best.squares)], row)
-    for _ in range(_ZOOMS):
-        near = np.flatnonzero(best.against(rate.size) <= _LIKELY)
-        bends = np.linspace(bends[max(near[0] - 1, 0)], bends[min(near[-1] + 1, bends.size - 1)], _BENDS)
-        best = _profile(best.model, x, y, bends, decay)
-    against, k, scale = best.against(rate.size), int(np.argmin(best.squares)), unit / top
-    if best.slope[k] <= 0 or rate.size * np.log(straight.squares[0] / best.squares[k]) < _FOUNDER:
+    for turn in range(1 + _ZOOMS):
+        likely = rate.size * np.log(best.squares / best.squares.min()) <= _LIKELY
+        if turn < _ZOOMS:
+            near = np.flatnonzero(likely)
+            bends = np.linspace(bends[max(near[0] - 1, 0)], bends[min(near[-1] + 1, bends.size - 1)], _BENDS)
+            best = _profile(best.model, x, y, bends, decay)
+    k, scale = int(np.argmin(best.squares)), unit / top
+    if best.theta[k, 1] <= 0 or rate.size * np.log(straight.squares[0] / best.squares[k]) < _FOUNDER:
         return Founder(correlation=rho), straight.residual[:, 0]
-    error = np.abs(bends[against <= _LIKELY] - bends[k]).max() / 2
-    fall = best.fall[k] * (best.fall[k] > _LEAST_FALL)
+    error, fall = np.abs(bends[likely] - bends[k]).max() / 2, best.theta[k, 2]
     weight_stderr, fall_stderr = float(error * top), float(best.fall_stderr[k] * scale)
-    return Founder(float(bends[k] * top), weight_stderr, float(fall * scale), fall_stderr, rho), best.residual[:, k]
+    fall = float(fall * (fall > _LEAST_FALL) * scale)
+    return Founder(float(bends[k] * top), weight_stderr, fall, fall_stderr, rho), best.residual[:, k]
 
 
 def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, " bends"], decay: Lanes) -> _Profile:
@@ -254,8 +232,10 @@ def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, 
     weight, rate, is_power = weight[:, None], rate[:, None], model.form.name == "power"
     excess = np.maximum(weight - bends, 0.0)
     columns, law = model.columns(model.relief[:, None] * np.minimum(1.0, bends / weight)), rate
-    for _ in range(1 + is_power):
-        slopes, target = linear_problem(model.form, columns, rate, law)
+    for turn in range(2 if is_power else 3):
+        if turn and not is_power and (law[rate[:, 0] > 0] > 0).all():
+            break
+        slopes, target = rop_forms.linear_problem(model.form, columns, rate, law)
         slopes = np.concatenate([slopes, -(excess * (rate > 0))[..., None]], axis=-1)
         slopes, target = whiten(slopes, decay), whiten(target, decay)
         normal, right = np.einsum("rbi,rbj->bij", slopes, slopes), np.einsum("rbi,rb->bi", slopes, target + 0 * excess)
@@ -265,10 +245,10 @@ def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, 
         theta = np.where(theta[:, 2:] >= 0, theta, np.pad(level, ((0, 0), (0, 1))))  # the rate never rises there
         law = np.einsum("rbi,bi->rb", columns, theta[:, :2])
         law = np.exp(np.minimum(law, _LARGEST_LOG_RATE)) if is_power else law
-    residual = np.where(rate > 0, law - theta[:, 2] * excess - rate, 0.0)
+    residual = np.where(rate > 0, np.maximum(law, 0.0) - theta[:, 2] * excess - rate, 0.0)
     squares = np.maximum(np.sum(whiten(residual, decay) ** 2, axis=0), _TINY)
     errors = np.sqrt(inverse[:, 2, 2] * squares / max(rate.size - 4, 1))
-    return _Profile(model, squares, theta[:, 1], theta[:, 2], errors, residual)
+    return _Profile(model, squares, theta, errors, residual)
 
 
 # Correlated rows
@@ -292,7 +272,7 @@ def decay_of(rho: float, row: LaneBlocks) -> Lanes:
 
 def predictions_without(minimum: Minimum, rate: Lanes, block: LaneBlocks) -> Lanes:
     """Return the residuals of each block of rows, predicted from the fit to the rows of all other blocks."""
-    moved = minimum.theta + moves_without(minimum, block)
+    moved = minimum.theta + rop_forms.moves_without(minimum, block)
     return np.concatenate([minimum.model.residuals(theta, rate)[0][block == k] for k, theta in enumerate(moved)])
 
 
@@ -301,47 +281,42 @@ def predictions_without(minimum: Minimum, rate: Lanes, block: LaneBlocks) -> Lan
 
 def _fit_forms(relief: Lanes, rate: Lanes, robust: bool, unknown: bool, row: LaneBlocks | None) -> pd.DataFrame:
     """Return the values of every form, and compare the forms; `row`: the number of each row of a log."""
-    forms = {form.name: form for form in FORMS if not (unknown and form.name in SAME_AS_ONSET)}
-    found = {name: search(form, relief, rate, robust) for name, form in forms.items()}
+    forms = [form for form in FORMS if not (unknown and form.name in rop_forms.SAME_AS_ONSET)]
+    found = {form.name: search(form, relief, rate, robust) for form in forms}
     minima = {name: x for name, x in found.items() if isinstance(x, Minimum)}
-    rho, block, decay = 0.0, None, np.zeros(rate.size)
+    rho, block, decay = 0.0, None, None
     if row is not None and minima:
         rho = correlation(min((minimum.residual for minimum in minima.values()), key=np.linalg.norm), row)
         if rate.size >= LEAST_ROWS and np.ptp(relief) > 0:
             # The rows are whitened, so that blocks need not exceed the length of correlation.
             block = np.arange(rate.size) * int(np.clip(rate.size // _ROWS_PER_BLOCK, 1, _MOST_BLOCKS)) // rate.size
             decay = decay_of(rho, row)
-            found = {name: search(form, relief, rate, robust, decay) for name, form in forms.items()}
+            found = {form.name: search(form, relief, rate, robust, decay) for form in forms}
             minima = {name: x for name, x in found.items() if isinstance(x, Minimum)}
-    fits: dict[str, dict[str, float | int]] = {}
-    for form in FORMS:
-        result = found.get(form.name, Reason.UNKNOWN_THRESHOLD)
-        if isinstance(result, Minimum):
-            fits[form.name] = _coefficients(result, rate, block)
-        else:
-            fits[form.name] = {"reason": result, "r_squared_reason": result, "degrees_of_freedom": 0}
-    columns = [*COEFFICIENTS, *(f"{name}_stderr" for name in COEFFICIENTS), "r_squared", "aic", "cv_error"]
-    table = pd.DataFrame.from_dict(fits, orient="index").reindex(
-        columns=[*columns, "evidence_against", "degrees_of_freedom", "used", "standing", "reason", "r_squared_reason"]
-    )
-    table["used"], table["standing"] = rate.size, int(Standing.NOT_COMPARED)
+    fits: dict[str, dict[str, Any]] = {}
+    for name in NAMES:
+        reason = found.get(name, rop_forms.Reason.UNKNOWN_THRESHOLD)
+        missing = {"reason": reason, "r_squared_reason": reason, "degrees_of_freedom": 0}
+        fits[name] = _coefficients(minima[name], rate, block) if name in minima else missing
+    table = pd.DataFrame.from_dict(fits, orient="index").reindex(columns=_COLUMNS)
+    table["used"], table["standing"] = rate.size, int(rop_forms.Standing.NOT_COMPARED)
+    against = pd.Series(np.nan, table.index)
     if block is not None:
-        against, limit = pd.Series(np.nan, table.index), BLOCK_LIMIT
+        limit = rop_forms.BLOCK_LIMIT
         for name, minimum in minima.items():
             residual = predictions_without(minimum, rate / rate.max(), block)
             table.loc[name, "cv_error"] = rate.max() * np.sqrt(np.mean(residual**2))
             against[name] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))
-    else:
-        least = table["degrees_of_freedom"][list(minima)].min() if minima else 0
-        if len(minima) < len(forms) or least < LEAST_DEGREES_OF_FREEDOM:
-            return table
+    elif len(minima) == len(forms) and table["degrees_of_freedom"][list(minima)].min() >= LEAST_DEGREES_OF_FREEDOM:
+        limit = rop_forms.AIC_LIMIT if row is None else rop_forms.BLOCK_LIMIT
         costs = np.array([2 * form.size for form in FORMS])
-        exact = rate.size * 2 * np.log(LEAST_SPREAD * rate.max())  # below it, forms are equally exact
+        exact = rate.size * 2 * np.log(rop_forms.LEAST_SPREAD * rate.max())  # below it, forms are equally exact
         independent = (1 - rho) / (1 + rho)  # correlated rows count as fewer independent ones
         against = independent * np.maximum(table["aic"] - costs, exact) + costs
-        limit = AIC_LIMIT if row is None else BLOCK_LIMIT
+    else:
+        return table
     table["evidence_against"] = against - against.min()
-    table["standing"] = standings(table["evidence_against"].to_numpy(), NAMES, limit)
+    table["standing"] = rop_forms.standings(table["evidence_against"].to_numpy(), NAMES, limit)
     return table
 
 
@@ -355,55 +330,28 @@ def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> di
     that the AIC of exact data is finite.
     """
     unit, size = float(rate.max()), minimum.theta.size
-    moves = moves_without(minimum, np.arange(rate.size) if block is None else block)
+    moves = rop_forms.moves_without(minimum, np.arange(rate.size) if block is None else block)
     square = moves.T @ moves
     if block is not None:
         student = float(stdtrit(len(moves) - size, _TWO_ERRORS[1])) / _TWO_ERRORS[0]
         square *= (len(moves) - 1) / len(moves) * student**2
     values, slopes = minimum.model.coefficients(minimum.theta)
     errors = np.sqrt(np.einsum("ci,ij,cj->c", slopes, square, slopes))
-    fit: dict[str, float | int] = {"reason": Reason.IDENTIFIED}
+    fit: dict[str, float | int] = {"reason": rop_forms.Reason.IDENTIFIED}
     if size == 2 and minimum.model.form.name != "power":
         # A horizontal line has C close to zero, and no onset.
         least = max(_LEAST_SLOPE, _LEAST_SLOPE_IN_ERRORS * float(np.sqrt(square[1, 1])))
         if abs(minimum.theta[1]) <= least or not np.isfinite(values[1]):
-            values[1], fit["reason"] = np.nan, Reason.NO_SLOPE
+            values[1], fit["reason"] = np.nan, rop_forms.Reason.NO_SLOPE
     errors[np.isnan(values)] = np.nan
     for name, scale, value, error in zip(COEFFICIENTS, (unit, 1.0, 1.0), values, errors, strict=True):
         fit |= {name: scale * value, f"{name}_stderr": scale * error}
     y = rate / unit
     squares, about_mean = float(np.sum(minimum.residual**2)), float(np.sum((y - y.mean()) ** 2))
-    varies = about_mean > rate.size * LEAST_SPREAD**2
+    varies = about_mean > rate.size * rop_forms.LEAST_SPREAD**2
     return fit | {
         "r_squared": 1 - squares / about_mean if varies else np.nan,
-        "r_squared_reason": Reason.IDENTIFIED if varies else Reason.CONSTANT_RATES,
+        "r_squared_reason": rop_forms.Reason.IDENTIFIED if varies else rop_forms.Reason.CONSTANT_RATES,
         "aic": rate.size * (np.log(max(squares / rate.size, _EPSILON**2)) + 2 * np.log(unit)) + 2 * size,
         "degrees_of_freedom": int(minimum.active.sum()) - size,
     }
-
-
-def groups_of(fit: xr.Dataset) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the name of each group, such as "force=200000 N, rock=granite", and a table of its forms, by name."""
-    dims = [dim for dim in fit["aic"].dims if dim != "form"]
-    whole = fit.drop_dims([dim for dim in fit.dims if dim not in (*dims, "form")])
-    table = whole.to_dataframe(dim_order=[*dims, "form"]).reset_index()
-    for name in ("reason", "r_squared_reason", "standing"):
-        table[name] = table[name].map(flags(fit[name]))
-    names = [name for name in table if name in dims or (name in fit.coords and name != "form" and fit[name].dims)]
-    # A dimension without values of its own has a name only if nothing else distinguishes its groups.
-    named = {dim for name in names if name in fit.coords for dim in fit[name].dims}
-    names = [name for name in names if name in fit.coords or name not in named]
-    for _, part in table.groupby(np.arange(len(table)) // fit.sizes["form"]):
-        first = part.iloc[0]
-        texts = [f"{name}={_text(fit, name, first[name])}" for name in names]
-        yield ", ".join(texts) or "all lanes", part.set_index("form")
-
-
-def _text(fit: xr.Dataset, name: str, value: Any) -> str:
-    unit = fit[name].attrs.get("units", "1")
-    return (f"{value:.6g}" if isinstance(value, float) else str(value)) + ("" if unit == "1" else f" {unit}")
-
-
-def founder_of(group: pd.DataFrame) -> Founder:
-    """Return the founder weight of a group."""
-    return Founder(*(float(group[f"founder_{name}"].iloc[0]) for name in Founder._fields[:4]))

@@ -17,24 +17,11 @@ import pandas as pd
 import xarray as xr
 
 from vibrojax.errors import InputError, Place, counted, nearest, shell_assignment, shown, suggestion
+from vibrojax.io import log_columns as known
 from vibrojax.io.attributes import title_of
 from vibrojax.io.kinds import dataset_attributes
-from vibrojax.io.log_columns import (
-    DEPTH,
-    FORCE,
-    KNOWN,
-    LAW,
-    LINE,
-    RATE,
-    RELIEF,
-    RIG,
-    ROTATION_SPEED,
-    THRESHOLD,
-    WEIGHT,
-    checked_columns,
-    split_unit,
-)
-from vibrojax.io.riglog import Nulls, Where, log_lines, read_needed, to_dataset
+from vibrojax.io.log_columns import FORCE, KNOWN, LINE, RATE, RELIEF, THRESHOLD, WEIGHT
+from vibrojax.io.riglog import Nulls, Where, log_lines, read_log, to_dataset
 from vibrojax.io.tables import line_ranges
 from vibrojax.io.variables import Variable, described
 from vibrojax.measures.labels import FAILED, IRREGULAR
@@ -43,13 +30,13 @@ from vibrojax.physics.units import UNITS, factor
 from vibrojax.progress import LOG
 from vibrojax.settings.values import choice, warn_if_far
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMULAS, REASONS, STANDINGS, supported
-from vibrojax.studies.rop_group import NAMES, fit_lanes
+from vibrojax.studies.rop_group import NAMES, Founder, fit_lanes
 
 if TYPE_CHECKING:
     Data: TypeAlias = xr.Dataset | str | PathLike[str] | pd.DataFrame
     Columns = Mapping[str, str] | None
 else:
-    Data = Columns = object  # at run time `read_groups` checks the user's argument, with a one-line error message
+    Data = Columns = object  # at run time the user's argument is checked, with a one-line error message
 
 LOG_ENDINGS = (".csv", ".txt", ".tsv", ".las", ".xml", ".xlsx", ".xlsm", ".xls")
 """Endings of the files that a fit takes for logs."""
@@ -64,16 +51,13 @@ USES = ("no-lane", "fitted", "censored", "left-out", "above-founder")
 """Flags of the variable `data_use`."""
 
 NO_VALUES = "without values, or with a negative rate"
-_FOR_LAW = frozenset((*LAW, WEIGHT, ROTATION_SPEED))  # faults in other columns do not stop a fit
+_FOR_LAW = frozenset((*known.LAW, WEIGHT, known.ROTATION_SPEED))  # faults in other columns do not stop a fit
 _SAME = 1e-6  # relative difference of thresholds of a group that are one
 _KEPT = (
     *("scene", "sweep", "parameters", "columns"),
     *("dialect", "dropped", "rows_read", "notes", "reference_force"),
 )
 """Attributes of the data that a fit keeps."""
-
-_LANES = ("relief", "rate", "weight", "number", "valid")
-"""Variables of lanes: `weight` is the mean force where it is known, else the relief; `number` is the line of a row."""
 
 _FORM, _LANE = "form", "lane"
 SCHEMA = {
@@ -111,8 +95,6 @@ SCHEMA = {
     "data_use": Variable("1", "what became of a lane", np.int8, USES, along=_LANE),
 }
 """Variables of a fit over its groups, and `along` its forms or lanes. `onset_force` needs an unknown threshold."""
-
-_OF_FOUNDER = ("founder_weight", "founder_weight_stderr", "founder_fall", "founder_fall_stderr", "noise_correlation")
 
 
 def fit_rop(
@@ -169,227 +151,46 @@ def fit_rop(
     >>> fit.exponent.sel(form="power").round(3).values.tolist()  # along frequency the rate is in proportion to P/D
     [1.0, 1.0]
     """
-    groups = read_groups(data, along, by, columns, where, nulls)
-    if robust is not None:
-        choice(Place(groups.attrs["file"], "robust"), robust, LOSSES)
-    return fit_groups(groups, robust, progress)
-
-
-# Data
-
-
-def read_groups(
-    data: Data,
-    along: str | None = None,
-    by: str | Sequence[str] = (),
-    columns: Columns = None,
-    where: Where = None,
-    nulls: Nulls = None,
-) -> xr.Dataset:
-    """Return the lanes of a fit over groups and `lane`; the arguments are those of `fit_rop`.
-
-    **Returns:** `_LANES` and `is_lane`, False where a group has fewer lanes than others. The attributes are those of
-    the data, `file` (its name in messages), `along`, and `has_force` (whether `weight` is the mean force).
-
-    **Raises:** `InputError`.
-    """
-    if not isinstance(data, (xr.Dataset, pd.DataFrame, str, PathLike)):
-        raise InputError(f"fit_rop: {shown(data)} is not data; give a dataset or a path")
-    path = Path("fit_rop") if isinstance(data, (xr.Dataset, pd.DataFrame)) else Path(data)
-    place, suffix = Place(str(path)), path.suffix.lower()
-    if columns and (isinstance(data, xr.Dataset) or suffix == ".nc"):
-        raise place.error("has its names and units already; `columns` is for a CSV")
-    if isinstance(data, pd.DataFrame) or suffix in LOG_ENDINGS:
-        data = _read_rows(data if isinstance(data, pd.DataFrame) else path, columns, where, nulls)
-    elif suffix == ".nc":
-        from vibrojax.io.dataset import open_dataset
-
-        data = open_dataset(path)
-    elif not isinstance(data, xr.Dataset):
-        raise place.error(
-            "ends in neither .nc nor .csv nor .las; give a sweep's dataset or a rig log (also .txt, .xml, .xlsx)"
-        )
-    lanes = _usable_lanes(place, data)
-    groups = _grouped(place, lanes, along, (by,) if isinstance(by, str) else tuple(by))
-    has_force = "dialect" in data.attrs and FORCE in data.coords
-    about = {"title": title_of(data, place.file), "file": place.file, "has_force": has_force}
-    return groups.assign_attrs(data.attrs | groups.attrs | about)
-
-
-def _read_rows(source: Path | pd.DataFrame, columns: Columns, where: Where, nulls: Nulls) -> xr.Dataset:
-    """Read a rig log into a dataset with rate_of_penetration [m/s] and relief [1] along `point`, the rows.
-
-    Without a relief, the relief is mean_force/threshold; a weight on bit is a mean force. If the threshold is
-    "unknown", or not given with a log of a rig, the relief is mean_force over its median, the attribute
-    `reference_force` [N].
-    """
-    columns = checked_columns(columns)
-    if is_unknown := columns.get(THRESHOLD, "").strip() == "unknown":
-        del columns[THRESHOLD]
-    log = read_needed(source, columns, where, nulls, _FOR_LAW, "fit_rop")
-    place = Place("fit_rop" if isinstance(source, pd.DataFrame) else str(source))
-    for header, name, median, likely in log.attrs["unusual"]:
-        warn_if_far(place.at(f"column {header}"), KNOWN[name], median, likely)
-    if FORCE not in log and WEIGHT in log:
-        log = log.rename(columns={WEIGHT: FORCE})
-        for about in (log.attrs["units"], log.attrs["sources"]):
-            about[FORCE] = about.pop(WEIGHT)
-    is_given = bool({THRESHOLD, RELIEF} & set(log.attrs["units"]))
-    if is_unknown and is_given:
-        raise Place("columns", THRESHOLD).error(f"is unknown, but {place.file} has a threshold or relief; give one")
-    is_unknown |= log.attrs["rig"] and not is_given
-    by_force = RELIEF not in log or (RELIEF not in columns and bool({FORCE, THRESHOLD} & set(columns)))
-    needed = (RATE, FORCE, *([] if is_unknown else [THRESHOLD])) if by_force else (RATE, RELIEF)
-    if missing := [name for name in needed if name not in log]:
-        raise _missing(place, log, missing)
-    data = to_dataset(log, "point")
-    if by_force:
-        reference = float(np.nanmedian(data[FORCE])) or 1.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            data[RELIEF] = data[FORCE] / (reference if is_unknown else data[THRESHOLD])
-        data[RELIEF].attrs = {"units": KNOWN[RELIEF].unit, "long_name": KNOWN[RELIEF].long_name}
-        data.attrs |= {"reference_force": reference} if is_unknown else {}
-    number = ("point", np.arange(data.sizes["point"]), {"units": "1", "long_name": "number of the row"})
-    return data.assign_coords(point=number).set_coords([str(name) for name in data if name not in (RATE, RELIEF)])
-
-
-def _missing(place: Place, log: pd.DataFrame, missing: list[str]) -> InputError:
-    """Return the error about quantities that a log lacks; it suggests the column that is likely meant."""
-    free = [str(name) for name in log if name not in (*log.attrs["units"], LINE)]
-    missing_name = RELIEF if len(missing) == 2 and nearest(RELIEF, free) else missing[0]
-    likely = [
-        cell for cell in free if (unit := split_unit(cell)[1]) and factor(unit, KNOWN[missing_name].unit) is not None
-    ]
-    hint = f"the file has {', '.join(free) or 'no others'}"
-    if like := likely[0] if likely else nearest(missing_name, free):
-        unit = "" if split_unit(like)[1] or missing_name == RELIEF else f" ({UNITS[KNOWN[missing_name].unit][0]})"
-        hint = f"if {shown(like)} is it, rename it, or name it: --columns {shell_assignment(missing_name, like + unit)}"
-    if missing == [THRESHOLD]:
-        hint += f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
-    instead = "" if RATE in missing else f", or {RELIEF}"
-    names = " and ".join(f"{name} [{UNITS[KNOWN[name].unit][0]}]" for name in missing)
-    return place.error(f"column {names} is missing{instead}; {hint}")
-
-
-def _usable_lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
-    """Return `_LANES`, broadcast, with all their coordinates.
-
-    A lane is valid unless it failed or is irregular, a value is not finite, its relief is not positive, or its rate is
-    negative (a hole does not get shallower).
-    """
-    for name in (RATE, RELIEF):
-        if name not in data:
-            names = ", ".join(str(name) for name in data.data_vars) or "nothing"
-            raise place.at(name).error(f"missing; a sweep of a scene with rock has it, this holds {names}")
-        if data[name].dtype.kind not in "fiu":
-            raise place.at(name).error("does not hold numbers; the data of a sweep are needed")
-    relief, rate = xr.broadcast(data[RELIEF], data[RATE])
-    valid = (relief > 0) & (relief < np.inf) & (rate >= 0) & (rate < np.inf)
-    if "regime" in data:
-        valid = valid & ~data["regime"].isin([FAILED, IRREGULAR])
-    if "status" in data:
-        valid = valid & (data["status"] == 0)
-    weight = data[FORCE] if "dialect" in data.attrs and FORCE in data.coords else relief
-    number = data[LINE] if LINE in data.coords else xr.zeros_like(relief)
-    parts = xr.broadcast(relief, rate, weight, number, valid)
-    lanes = {name: x.variable.astype(bool if name == "valid" else float) for name, x in zip(_LANES, parts, strict=True)}
-    # Broadcasting adds the dimensions of the other variable, but not its non-index coordinates.
-    return xr.Dataset(lanes, {**rate.coords, **relief.coords}).assign(is_lane=xr.ones_like(parts[-1], bool).variable)
-
-
-def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str]) -> xr.Dataset:
-    """Return lanes in groups: one per combination of values on the axes other than `along`.
-
-    Rows of a table (data with one dimension) are grouped by the columns `by`, or if `along` is a column, by all other
-    columns except the mean force.
-    """
-    dims = [str(dim) for dim in lanes["rate"].dims]
-    if not dims:
-        raise place.at("along").error("there is one lane only; a law needs an axis of several")
-    for dim in dims:
-        if not lanes.sizes[dim]:
-            raise place.at(dim).error("has no values, so there are no lanes; give at least one")
-    row = dims[0]
-    columns = [str(name) for name, x in lanes.coords.items() if len(dims) == 1 and x.dims == (row,) != (name,)]
-    if by or along in columns:
-        for name in (*by, *({along} - {None, row})):
-            if name not in columns:
-                own = [column for column in columns if not lanes[column].attrs] or columns  # not the quantities
-                hint = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
-                here = place.at("by" if name in by else "along")
-                raise here.error(f"{shown(name)} is not a column of the data{hint}")
-        keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *RIG)]
-        return _grouped_rows(lanes, keys, row, str(along or row))
-    if along is None:
-        along = next((name for name in DEFAULT_AXES if name in dims), row if len(dims) == 1 else None)
-        if along is None:
-            raise place.at("along").error(f"missing; choose the axis to fit along from {', '.join(dims)}")
-    if along not in dims:
-        hint = suggest_coordinate(str(along), {dim: lanes[dim].attrs for dim in dims})
-        raise place.at("along").error(f"{shown(along)} is not an axis of the data; {hint}")
-    others = [dim for dim in dims if dim != along]
-    variables = {str(name): ((*others, _LANE), x.transpose(*others, along).values) for name, x in lanes.items()}
-    coordinates = {str(name): values for name, values in lanes.coords.items() if set(values.dims) <= set(others)}
-    return xr.Dataset(variables, coordinates, {"along": along})
-
-
-def _grouped_rows(lanes: xr.Dataset, keys: list[str], row: str, along: str) -> xr.Dataset:
-    """Return the rows of a table in groups of equal values in the columns `keys`; those of a log from top to bottom."""
-    table = pd.DataFrame({name: lanes[name].values for name in keys}, index=range(lanes.sizes[row]))
-    grouped = table.groupby(keys or np.zeros(len(table)), sort=DEPTH not in lanes.coords, dropna=False)
-    group, lane = grouped.ngroup().to_numpy(), grouped.cumcount().to_numpy()
-    first = np.flatnonzero(lane == 0)
-    first = first[np.argsort(group[first])]
-    variables = {}
-    for name, x in lanes.items():
-        padded = np.zeros((first.size, lane.max() + 1), x.dtype)
-        padded[group, lane] = x.values
-        variables[str(name)] = (("group", _LANE), padded)
-    coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
-    return xr.Dataset(variables, coordinates, {"along": along})
-
-
-# Fits
-
-
-def fit_groups(groups: xr.Dataset, robust: str | None = None, progress: bool = False) -> xr.Dataset:
-    """Fit every form to every group that `read_groups` returned; return the dataset that `fit_rop` describes."""
-    about, dims = groups.attrs, groups["rate"].dims[:-1]
-    along, counts = about["along"], groups["is_lane"].sum(_LANE).values.ravel()
-    measured, unknown = "dialect" in about, "reference_force" in about
-    loss = robust or ("soft-l1" if measured else "squares")
+    place, data = _read(data, columns, where, nulls)
+    measured, unknown = "dialect" in data.attrs, "reference_force" in data.attrs
+    loss = choice(place.at("robust"), robust or ("soft-l1" if measured else "squares"), LOSSES)
+    groups = _grouped(place, _lanes(place, data), along, (by,) if isinstance(by, str) else tuple(by))
+    dims, along = groups["rate"].dims[:-1], groups.attrs["along"]
+    counts = groups["is_lane"].sum(_LANE).values.ravel()
     LOG.info("chosen: along %s, %d groups, loss %s", along, counts.size, loss)
     start = time.monotonic()
     lanes = {str(name): x.values.reshape(counts.size, -1) for name, x in groups.items()}
-    valid, is_lane = lanes["valid"], lanes["is_lane"]
+    valid, is_lane, has_force = lanes["valid"], lanes["is_lane"], _has_force(data)
     use = np.select([~is_lane, valid & (lanes["rate"] > 0), valid], [0, 1, 2], USES.index("left-out"))
-    fits, left_out = [], {NO_VALUES: is_lane & ~valid}
+    fits, left_out, threshold = [], {NO_VALUES: is_lane & ~valid}, np.full(counts.size, np.nan)
     for group in range(counts.size):
         rows = np.flatnonzero(valid[group])
         relief, weight, rate = (lanes[name][group, rows] for name in ("relief", "weight", "rate"))
-        fits.append(fit_lanes(relief, weight, rate, loss != "squares", measured, unknown, about["has_force"]))
+        if has_force and rows.size and np.ptp(weight / relief) <= _SAME * (weight / relief).max():
+            threshold[group] = np.median(weight / relief)
+        fits.append(fit_lanes(relief, weight, rate, loss != "squares", measured, unknown, has_force))
         for reason, mask in fits[-1].wrong.items():
             left_out.setdefault(reason, np.zeros_like(valid))[group, rows[mask]] = True
             use[group, rows[mask]] = USES.index("left-out")
         use[group, rows[fits[-1].above]] = USES.index("above-founder")
     if progress:
         fitted = f"{counted(counts.size, 'group')} of {counted(counts.max(), 'lane')} along {along} fitted"
-        print("\n".join([*log_lines(groups), f"{fitted} in {time.monotonic() - start:.1f} s"]), file=sys.stderr)
+        print("\n".join([*log_lines(data), f"{fitted} in {time.monotonic() - start:.1f} s"]), file=sys.stderr)
     values: dict[str, Any] = {name: np.array([fit.forms[name] for fit in fits]) for name in fits[0].forms}
     values["left_out"] = counts[:, None] - values["used"]
     for name in ("", "_stderr") if unknown else ():
-        values[f"onset_force{name}"] = about["reference_force"] * values[f"eta0{name}"]
-    values |= zip(_OF_FOUNDER, np.array([fit.founder for fit in fits]).T, strict=True)
-    values["data_threshold"] = _thresholds(lanes) if about["has_force"] else np.full(counts.size, np.nan)
+        values[f"onset_force{name}"] = data.attrs["reference_force"] * values[f"eta0{name}"]
+    of_founder = [*(f"founder_{name}" for name in Founder._fields[:4]), "noise_correlation"]
+    values |= zip(of_founder, np.array([fit.founder for fit in fits]).T, strict=True)
+    values |= {"data_threshold": threshold, "data_use": use}
     for name, column in ((RELIEF, "relief"), (RATE, "rate")):
         values[f"data_{name}"] = np.where(is_lane, lanes[column], np.nan)
-    values["data_use"] = use
     limit = BLOCK_LIMIT if measured else AIC_LIMIT
     attributes = dataset_attributes(
         "fit",
-        f"rate-of-penetration law: {about['title']}",
-        "\n".join(filter(None, (f"fit {about['file']}", str(about.get("history", ""))))),
-        **{name: about[name] for name in _KEPT if name in about},
+        f"rate-of-penetration law: {title_of(data, place.file)}",
+        "\n".join(filter(None, (f"fit {place.file}", str(data.attrs.get("history", ""))))),
+        **{name: data.attrs[name] for name in _KEPT if name in data.attrs},
         along=along,
         formulas="; ".join(f"{name}: {formula}" for name, formula in FORMULAS.items()),
         verdict=supported(values["standing"], values["evidence_against"], NAMES, limit),
@@ -407,8 +208,147 @@ def fit_groups(groups: xr.Dataset, robust: str | None = None, progress: bool = F
     return xr.Dataset(described(variables, SCHEMA), {**groups.coords, _FORM: form}, attributes)
 
 
-def _thresholds(lanes: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the mean force at a relief of 1 of each group; NaN where it varies, or there are no valid lanes."""
-    ratio = pd.DataFrame(lanes["weight"] / np.where(lanes["valid"], lanes["relief"], np.nan))
-    low, high = ratio.min(axis=1), ratio.max(axis=1)
-    return ratio.median(axis=1).where(high - low <= _SAME * high).to_numpy()
+# Data
+
+
+def _read(data: Data, columns: Columns, where: Where, nulls: Nulls) -> tuple[Place, xr.Dataset]:
+    """Return the name of the data in messages, and a dataset with rate_of_penetration [m/s] and relief [1]."""
+    if isinstance(data, (xr.Dataset, pd.DataFrame)):
+        place, suffix = Place("fit_rop"), ".nc" if isinstance(data, xr.Dataset) else ".csv"
+    elif isinstance(data, (str, PathLike)):
+        place, suffix = Place(str(data)), Path(data).suffix.lower()
+    else:
+        raise InputError(f"fit_rop: {shown(data)} is not data; give a dataset or a path")
+    if suffix in LOG_ENDINGS:
+        return place, _read_rows(place, data if isinstance(data, pd.DataFrame) else Path(data), columns, where, nulls)
+    if suffix != ".nc":
+        fault = "ends in neither .nc nor .csv nor .las"
+        raise place.error(f"{fault}; give a sweep's dataset or a rig log (also .txt, .xml, .xlsx)")
+    if columns:
+        raise place.error("has its names and units already; `columns` is for a CSV")
+    from vibrojax.io.dataset import open_dataset
+
+    return place, data if isinstance(data, xr.Dataset) else open_dataset(Path(data))
+
+
+def _read_rows(place: Place, source: Path | pd.DataFrame, columns: Columns, where: Where, nulls: Nulls) -> xr.Dataset:
+    """Read a rig log into a dataset along `point`, the rows.
+
+    Without a relief, the relief is mean_force/threshold; a weight on bit is a mean force. If the threshold is
+    "unknown", or not given with a log of a rig, the relief is mean_force over its median, the attribute
+    `reference_force` [N].
+    """
+    columns = known.checked_columns(columns)
+    if is_unknown := columns.get(THRESHOLD, "").strip() == "unknown":
+        del columns[THRESHOLD]
+    log = read_log(source, columns, where, nulls, _FOR_LAW)
+    for header, name, median, likely in log.attrs["unusual"]:
+        warn_if_far(place.at(f"column {header}"), KNOWN[name], median, likely)
+    if FORCE not in log and WEIGHT in log:
+        log = log.rename(columns={WEIGHT: FORCE})
+        for about in (log.attrs["units"], log.attrs["sources"]):
+            about[FORCE] = about.pop(WEIGHT)
+    is_given = bool({THRESHOLD, RELIEF} & set(log.attrs["units"]))
+    if is_unknown and is_given:
+        raise Place("columns", THRESHOLD).error(f"is unknown, but {place.file} has a threshold or relief; give one")
+    is_unknown |= log.attrs["rig"] and not is_given
+    by_force = RELIEF not in log or (RELIEF not in columns and bool({FORCE, THRESHOLD} & set(columns)))
+    needed = (RATE, FORCE, *([] if is_unknown else [THRESHOLD])) if by_force else (RATE, RELIEF)
+    if missing := [name for name in needed if name not in log]:
+        name, free = missing[0], [str(name) for name in log if name not in (*log.attrs["units"], LINE)]
+        units = {cell: known.split_unit(cell)[1] for cell in free}
+        likely = [cell for cell, unit in units.items() if unit and factor(unit, KNOWN[name].unit) is not None]
+        hint = f"the file has {', '.join(free) or 'no others'}"
+        if like := likely[0] if likely else nearest(name, free):
+            hint = f"if {shown(like)} is it, name it with its unit: --columns {shell_assignment(name, like)}"
+        if missing == [THRESHOLD]:
+            hint += f', or for all rows: --columns {THRESHOLD}="150 kN", rock=granite or {THRESHOLD}=unknown'
+        names = " and ".join(f"{name} [{UNITS[KNOWN[name].unit][0]}]" for name in missing)
+        raise place.error(f"column {names} is missing{'' if RATE in missing else f', or {RELIEF}'}; {hint}")
+    data = to_dataset(log, "point")
+    if by_force:
+        reference = float(np.nanmedian(data[FORCE])) or 1.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            data[RELIEF] = data[FORCE] / (reference if is_unknown else data[THRESHOLD])
+        data[RELIEF].attrs = {"units": KNOWN[RELIEF].unit, "long_name": KNOWN[RELIEF].long_name}
+        data.attrs |= {"reference_force": reference} if is_unknown else {}
+    number = ("point", np.arange(data.sizes["point"]), {"units": "1", "long_name": "number of the row"})
+    return data.assign_coords(point=number).set_coords([str(name) for name in data if name not in (RATE, RELIEF)])
+
+
+def _has_force(data: xr.Dataset) -> bool:
+    return "dialect" in data.attrs and FORCE in data.coords
+
+
+def _lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
+    """Return the lanes, broadcast, with their coordinates: `relief`, `rate`, `weight`, `number`, `valid` and `is_lane`.
+
+    `weight` is the mean force where it is known, else the relief; `number` is the line of a row. A lane is valid unless
+    it failed or is irregular, a value is not finite, its relief is not positive, or its rate is negative.
+    """
+    for name in (RATE, RELIEF):
+        if name not in data:
+            names = ", ".join(str(name) for name in data.data_vars) or "nothing"
+            raise place.at(name).error(f"missing; a sweep of a scene with rock has it, this holds {names}")
+        if data[name].dtype.kind not in "fiu":
+            raise place.at(name).error("does not hold numbers; the data of a sweep are needed")
+    relief, rate = xr.broadcast(data[RELIEF], data[RATE])
+    valid = (relief > 0) & (relief < np.inf) & (rate >= 0) & (rate < np.inf)
+    if "regime" in data:
+        valid = valid & ~data["regime"].isin([FAILED, IRREGULAR])
+    if "status" in data:
+        valid = valid & (data["status"] == 0)
+    weight = data[FORCE] if _has_force(data) else relief
+    number = data[LINE] if LINE in data.coords else xr.zeros_like(relief)
+    parts = {"relief": relief, "rate": rate, "weight": weight, "number": number}
+    parts |= {"valid": valid, "is_lane": xr.ones_like(valid)}
+    together = dict(zip(parts, xr.broadcast(*parts.values()), strict=True))
+    lanes = {name: x.variable.astype(bool if x.dtype == bool else float) for name, x in together.items()}
+    # Broadcasting adds the dimensions of the other variable, but not its non-index coordinates.
+    return xr.Dataset(lanes, {**rate.coords, **relief.coords})
+
+
+def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str]) -> xr.Dataset:
+    """Return lanes in groups: one per combination of values on the axes other than `along`; they are padded by False.
+
+    Rows of a table (data with one dimension) are grouped by the columns `by`, or if `along` is a column, by all other
+    columns except the mean force; those of a log from top to bottom.
+    """
+    dims = [str(dim) for dim in lanes["rate"].dims]
+    if not dims:
+        raise place.at("along").error("there is one lane only; a law needs an axis of several")
+    for dim in dims:
+        if not lanes.sizes[dim]:
+            raise place.at(dim).error("has no values, so there are no lanes; give at least one")
+    row = dims[0]
+    columns = [str(name) for name, x in lanes.coords.items() if len(dims) == 1 and x.dims == (row,) != (name,)]
+    if by or along in columns:
+        for name in (*by, *({along} - {None, row})):
+            if name not in columns:
+                own = [column for column in columns if not lanes[column].attrs] or columns  # not the quantities
+                hint = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
+                here = place.at("by" if name in by else "along")
+                raise here.error(f"{shown(name)} is not a column of the data{hint}")
+        keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *known.RIG)]
+        table = pd.DataFrame({name: lanes[name].values for name in keys}, index=range(lanes.sizes[row]))
+        grouped = table.groupby(keys or np.zeros(len(table)), sort=known.DEPTH not in lanes.coords, dropna=False)
+        group, lane = grouped.ngroup().to_numpy(), grouped.cumcount().to_numpy()
+        first = np.flatnonzero(lane == 0)
+        first = first[np.argsort(group[first])]
+        variables: dict[str, Any] = {}
+        for part, x in lanes.items():
+            padded = np.zeros((first.size, lane.max() + 1), x.dtype)
+            padded[group, lane] = x.values
+            variables[str(part)] = (("group", _LANE), padded)
+        coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
+        return xr.Dataset(variables, coordinates, {"along": along or row})
+    if along is None:
+        along = next((name for name in DEFAULT_AXES if name in dims), row if len(dims) == 1 else None)
+        if along is None:
+            raise place.at("along").error(f"missing; choose the axis to fit along from {', '.join(dims)}")
+    if along not in dims:
+        hint = suggest_coordinate(str(along), {dim: lanes[dim].attrs for dim in dims})
+        raise place.at("along").error(f"{shown(along)} is not an axis of the data; {hint}")
+    others: list[str] = [dim for dim in dims if dim != along]
+    variables = {str(name): ((*others, _LANE), x.values) for name, x in lanes.transpose(*others, along).items()}
+    return xr.Dataset(variables, lanes.drop_dims(along).coords, {"along": along})

@@ -11,19 +11,22 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.errors import Place, counted, shown
+from vibrojax.errors import InputError, Place, counted, shown
 from vibrojax.io.attributes import flags
+from vibrojax.io.identity import IDENTITY
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable, described
 from vibrojax.maps.bounds import MAX_TOLERANCES, corners, draws
 from vibrojax.maps.dataset import attributes, certified
 from vibrojax.maps.read import read_point, read_sweep
+from vibrojax.maps.rerun import sweep_of_dataset
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.pictures.axes import axis, margins, pretty_unit, quantity_text, scale, value_text, values_along
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_keys
+from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
 from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
@@ -130,6 +133,7 @@ _TOLERANCE = "tolerance_"
 _MARKERS = "os^Dv"
 _NOMINAL: Look = {"colour": "#999999", "width": 0.7, "dash": "--"}
 _NOMINAL_POINT = dots(marker="*", size=11.0, colour=IMPACT, edge="white", edge_width=0.6, order=4.0)
+_EXTREME: Look = {"marker": "o", "size": 9.0, "face": "none", "order": 3.5}
 _DRAWN = ("impact_velocity", "impact_energy", "rate_of_penetration")
 
 
@@ -157,6 +161,8 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
                 # Later starts are smaller: of samples that several starts bring to one motion, all markers show.
                 size = max(6.0 / 3.0 ** (k / 2), 2.0)
                 layers.append(level(y[0], order=0.0, **_NOMINAL))
+                ends = [int(lane[end]) for word in _WORDS if (end := f"{quantity}_{word}_sample") in lane]
+                layers.append(dots(values_along(ds[name])[ends], y[ends], **_EXTREME))
                 layers.append(replace(_NOMINAL_POINT, x=values_along(ds[name])[:1], y=y[:1]))
                 layers.append(Points(values_along(ds[name]), y, colours, size, **look))
             across = axis(ds[name], group=name, margin=0.08, intervals=4)
@@ -164,7 +170,8 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
             plots.append(Plot(layers, across, up, place=(row, column)))
     keys = regime_keys([lanes["regime"]])
     for marker, start in zip(_MARKERS, starts if len(starts) > 1 else [], strict=False):
-        keys.append(dots(label=f"start: {start}", colour="#4D4D4D", marker=marker))
+        keys.append(dots(label=f"start: {start}", marker=marker))
+    keys.append(dots(label="least and greatest", **_EXTREME))
     keys += [replace(_NOMINAL_POINT, label="nominal point"), key("nominal value", **_NOMINAL)]
     missing = int(lanes[rows[0]].isnull().sum()) if rows[0] != "period" else 0
     note = counted(missing, "lane without impact is", "lanes without impact are") + " not drawn" if missing else ""
@@ -374,6 +381,16 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         obtained = f"{drawn} samples of the box, and {tried} points of a search from the extreme ones by sensitivities"
         bounds = "they are not bounds of the box" + ", in which motions are irregular" * bool(irregular.any())
         return ds.assign_attrs({**about, "extremes": f"extremes of {obtained}; {bounds}"})
+
+    def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
+        """Return the samples as points of a sweep, with their variables; None for a system without a name."""
+        names = [name for name in ds.data_vars if "sample" in ds[name].dims]
+        points = ds[names].rename(sample=POINT)
+        points.attrs.pop(IDENTITY, None)  # it states the box, which the sweep does not have
+        try:
+            return points, sweep_of_dataset(points, orbits=False)
+        except InputError:
+            return None
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the nominal behaviour, the regimes and the extremes, for each start."""

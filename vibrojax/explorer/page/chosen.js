@@ -1,6 +1,6 @@
 // The chosen cell beside the map: its head, panels and keys, its numbers, and the calls that simulate it.
 import { colourName, described, drawHistory, drawMultipliers, drawPhase, drawPlane, drawReturns, drawSpectrum, groupsOf, planesOf, shownIn, symbolOf } from "./cell.js";
-import { el } from "./dom.js";
+import { el, explained } from "./dom.js";
 import { interactive } from "./interact.js";
 import { stateAt } from "./machine.js";
 import { csvOf, download, fileName } from "./paper.js";
@@ -11,6 +11,9 @@ const MASS_KEYS = [["x1", "bit", "bit"], ["x2", "striker", "striker"], ["x3", "b
 
 /** Values of flags that say nothing. */
 const SILENT = new Set(["done", "none", "found", "identified"]);
+
+/** Number of lines from which a summary is closed at first. */
+const MOST_SUMMARY_LINES = 20;
 
 const PERIODIC = [2, 3, 4, 5], IRREGULAR = 6;
 
@@ -24,9 +27,11 @@ function regimeValue(page, motion) {
 
 /** The regime as a badge, and what it means. */
 function regimeOf(page, motion) {
-  const { grid } = page, regime = grid.variables.get("regime"), value = regimeValue(page, motion);
+  const { grid } = page, regime = grid.variables.get("regime"), value = regimeValue(page, motion), own = grid.variables.get("lane_attractor");
   if (value === undefined) return [[], ""];
-  const swatch = el("span", { class: "vx-swatch", style: `background:${grid.colour(regime, value)}` });
+  // The plots have the colours of attractors, not of regimes.
+  const colour = own && !page.point ? grid.colour(own, page.cell.attractor) : grid.colour(regime, value);
+  const swatch = el("span", { class: "vx-swatch", style: `background:${colour}` });
   return [[el("span", { class: "vx-badge" }, swatch, grid.valueText(regime, value))], page.data.meanings?.[regime.flags?.[String(value)]] ?? ""];
 }
 
@@ -37,12 +42,18 @@ function textOf(page, motion) {
 }
 
 function head(page, motion) {
-  let text = page.data.without || "no motion is kept here";
+  let text = page.data.without || (page.data.lanes ? "no motion is kept here" : "");
   if (motion) text = textOf(page, motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
   const [badge, meaning] = regimeOf(page, motion), moves = motion && motion.kind !== "none";
   return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }), ...badge,
     ...(moves ? [el("span", { class: "vx-cellbuttons" }, page.pins.button(), fileButton(page, motion))] : []),
-    el("p", { class: "vx-motion", text }), ...(meaning ? [el("p", { class: "vx-motion vx-meaning", text: meaning })] : []));
+    ...startOf(page), el("p", { class: "vx-motion", text }), ...(meaning ? [el("p", { class: "vx-motion vx-meaning", text: meaning })] : []));
+}
+
+/** The numbers of a start that the title calls by its number. */
+function startOf({ grid, cell, named, point }) {
+  const [full, short] = [undefined, true].map((short) => grid.cellText(cell, ["start"], undefined, short));
+  return named.includes("start") && !point && full !== short ? [el("p", { class: "vx-motion", text: `${short}: ${full}` })] : [];
 }
 
 /** The chosen cell as a JSON file: its coordinates, numbers, command and motion. */
@@ -205,7 +216,7 @@ function spreadText(page, motion, variable, value) {
 export function numbersOf(page, motion, pins = []) {
   const { grid, named } = page, irregular = cyclesOf(page, motion) === 0, rows = [], missing = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
   for (const variable of grid.variables.values()) {
-    if (variable.inner || grid.variables.has(variable.name.replace(/_worst$/, "")) && variable.name.endsWith("_worst")) continue;
+    if (variable.inner || variable.axes.includes("form") || grid.variables.has(variable.name.replace(/_worst$/, "")) && variable.name.endsWith("_worst")) continue;
     const { name } = variable, worst = grid.variables.get(`${name}_worst`), ofMotion = motion?.numbers && name in motion.numbers;
     if (!page.point && variable.axes.some((axis) => apart.includes(axis))) continue;
     // An attractor without a start has a share of zero, and no motion.
@@ -225,16 +236,33 @@ export function numbersOf(page, motion, pins = []) {
     rows.unshift(el("tr", {}, el("td"), el("th", { scope: "col", text: "this" }), ...pins.map((pin) =>
       el("th", { scope: "col" }, el("span", { class: "vx-swatch", style: `background:${pin.colour}` }), ` ${pin.title}`))));
   if (missing.length) rows.push(el("tr", {}, el("th", { colspan: 2 }, "without a value: ", el("code", { text: missing.join(", ") }))));
-  const wasClosed = page.table.querySelector("details")?.open === false;
-  return el("details", { class: "vx-numbers", open: !wasClosed }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
+  return el("details", { class: "vx-numbers", open: page.table.querySelector("details.vx-numbers")?.open ?? true }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
+}
+
+/** The coefficients of the forms of a law, with their standard errors, side by side. */
+function formsOf({ grid, cell }) {
+  const form = grid.axes.get("form"), C = grid.variables.get("C");
+  if (!form || !C) return [];
+  const of = (variable, k) => grid.value(variable.name, { ...cell, form: k }), known = [...form.values.keys()].filter((k) => Number.isFinite(of(C, k)));
+  const text = (variable, k) => {
+    const error = grid.variables.get(`${variable.name}_stderr`), value = of(variable, k);
+    if (Number.isNaN(value)) return "—";
+    return variable.flags || !error || Number.isNaN(of(error, k)) ? grid.valueText({ ...variable, units: "" }, value) : `${numberText(value * variable.factor)} ± ${numberText(of(error, k) * variable.factor, 2)}`;
+  };
+  const rows = [...grid.variables.values()].filter(({ name, axes }) => axes.includes("form") && !/_stderr$/.test(name))
+    .map((variable) => [variable, known.map((k) => text(variable, k))]).filter(([, texts]) => new Set(texts).size > 1);
+  const signs = { eta0: "η₀", r_squared: "R²", aic: "AIC" }, name = ({ name, units, long_name }) => explained(el("span", {}, signs[name] ?? name.replaceAll("_", " "), units ? ` [${units}]` : ""), long_name);
+  return [el("div", { class: "vx-numbers vx-forms" }, el("table", {}, el("tbody", {}, el("tr", {}, el("td"), ...known.map((k) => el("th", { scope: "col", text: form.values[k] }))),
+    ...rows.map(([variable, texts]) => el("tr", {}, el("th", { scope: "row" }, name(variable)), ...texts.map((one) => el("td", { text: one })))))))];
 }
 
 /** What the analysis says of the dataset. */
-function summaryOf(page, open) {
+function summaryOf(page) {
   const { summary } = page.data;
   if (!summary?.length) return [];
+  const few = !page.data.lanes || (page.data.figure && summary.flatMap(({ lines }) => lines).length < MOST_SUMMARY_LINES);
   const parts = summary.map(({ name, lines }) => el("div", {}, el(page.data.kind === "plots" ? "h2" : "h3", { class: "vx-part", text: name }), el("pre", { text: lines.join("\n") })));
-  return [el("details", { class: "vx-summary", open }, el("summary", { text: "Summary" }), ...parts)];
+  return [el("details", { class: "vx-summary", open: page.table.querySelector(".vx-summary")?.open ?? few }, el("summary", { text: "Summary" }), ...parts)];
 }
 
 async function copy(text, beside, button) {
@@ -275,8 +303,8 @@ export function fillChosen(page, motion) {
   else page.side.replaceChildren(head(page, motion), ...(moves ? [page.player.element, el("ul", { class: "vx-keys" }, ...keysOfMotion(motion).map((key) => entry(key)))] : []),
     el("div", { class: "vx-panels" }, ...panels.map((one) => one.figure)), commands(page));
   page.player.set(motion, panels);
-  const still = !page.data.lanes, summary = summaryOf(page, still);
-  const numbers = page.data.variables.length ? [page.numbers(motion)] : [];
-  page.table.replaceChildren(...(still ? summary : []), ...numbers, ...(still ? [] : summary));
+  const summary = summaryOf(page), numbers = [page.numbers(motion)].filter((one) => one.querySelector("tr"));
+  if (page.data.map === false && !page.data.lanes) page.side.append(...formsOf(page), ...numbers.splice(0));
+  page.table.replaceChildren(...formsOf(page).slice(page.data.map === false), ...(page.data.figure ? [...summary, ...numbers] : [...numbers, ...summary]));
   return () => { panels.forEach((one) => one.draw()); page.player.draw(); drawSigns(page.side); };
 }

@@ -1,7 +1,7 @@
 // Plots that the analysis of a dataset describes: lines, points, areas, cells and texts, linked to the chosen cell.
 import { unpack } from "./decode.js";
-import { el } from "./dom.js";
-import { interactive } from "./interact.js";
+import { el, explained } from "./dom.js";
+import { interactive, readingAt } from "./interact.js";
 import { entry, FONT, framed, inkOf, legible, line, mark, numberText, read } from "./plots.js";
 
 /** The colour of signs in a legend that stand for marks of any colour. */
@@ -26,7 +26,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       read(nameOf(item, colours[0], item.shape, "line"), x, y);
     } else if (item.kind === "area") {
       c.globalAlpha = item.alpha;
-      c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 1 ? colour(item.colour) : item.colour;
+      c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 0.5 ? colour(item.colour) : item.colour;
       c.beginPath();
       x.forEach((value, k) => (k ? c.lineTo(sx(value), sy(y[k])) : c.moveTo(sx(value), sy(y[k]))));
       c.closePath();
@@ -79,7 +79,7 @@ export class Figure {
   constructor(page, data) {
     this.page = page;
     this.plots = data.plots.map((plot) => this.plot(plot, data.keys));
-    const legend = el("ul", { class: "vx-figurekeys" }, ...data.keys.map((key) => entry(key)));
+    const legend = el("ul", { class: "vx-figurekeys" }, ...data.keys.map((key) => entry(key, explained(el("span", { text: key.text }), page.data.meanings?.[key.text.split(" ")[0]]))));
     const images = data.images.filter((one) => one.data.startsWith("data:image/png;base64,"))
       .map((one) => el("figure", { class: "vx-panel vx-wideplot" }, el("img", { src: one.data, alt: one.title || page.data.title })));
     const tracks = this.plots.filter(({ track }) => track), together = tracks.length ? [el("div", { class: "vx-tracks" }, ...tracks.map((one) => one.figure))] : [];
@@ -93,37 +93,52 @@ export class Figure {
   }
 
   plot(plot, keys) {
-    const words = plot.title || [plot.y.label, plot.x.label].filter(Boolean).join(" over ") || "plot";
+    const words = plot.title || [plot.y.label, plot.x.label].filter(Boolean).join(" over ").replace(/ \[[^\]]*\]/g, "") || "plot";
     const canvas = el("canvas", { role: "img", "aria-label": words });
-    const draw = (paper) => this.paint(paper, plot);
+    const draw = (paper) => this.paint(paper, plot), linked = plot.x.direction || plot.y.direction || Object.keys(plot.at).length || this.page.data.map === false;
     const tools = interactive(canvas, draw, {
       about: () => this.page.about(words, { keys: keysIn(plot, keys), name: words, notes: [this.page.data.title, this.page.data.common] }),
-      click: plot.x.direction || plot.y.direction ? (place) => this.pick(canvas, plot, place) : undefined,
+      click: linked ? (place) => this.pick(canvas, plot, place) : undefined,
       zoomed: () => this.page.tell(),
     });
     this.page.keepZoom(canvas, tools);
-    const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${plot.x.direction ? " vx-linked" : ""}`;
+    const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${linked ? " vx-linked" : ""}`;
     const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, tools.band);
-    return { figure, track: plot.track, draw: () => draw(canvas) };
+    // Of panels at other values than those of the controls, the page shows none.
+    const names = Object.keys(plot.at), here = () => !this.page.shown.x && names.length > 0 && names.every((name) => plot.at[name] === this.page.cell[name]);
+    const hides = () => this.page.facets().some((name) => name in plot.at && plot.at[name] !== this.page.cell[name]);
+    return { figure, track: plot.track, draw: () => { figure.hidden = this.page.shown.x && hides(); if (!figure.hidden) draw(canvas); figure.classList.toggle("vx-here", here()); } };
   }
 
   paint(canvas, plot) {
-    const { page } = this, ink = inkOf(canvas);
+    const { page } = this, ink = inkOf(canvas), figure = canvas.closest?.("figure");
     const axis = (one) => ({ ...one, ticks: one.ticks ?? undefined });
-    framed(canvas, ink, axis(plot.x), { ...axis(plot.y), bare: plot.bare && !canvas.source }, (c, sx, sy, box) => {
+    framed(canvas, ink, axis(plot.x), { ...axis(plot.y), bare: plot.bare && !canvas.source && figure.offsetLeft > figure.parentNode.firstChild.offsetLeft }, (c, sx, sy, box) => {
       drawItems(c, plot.items, sx, sy, ink, page.data.figure.keys);
       const [x, y] = [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)];
       if (canvas.source || Object.entries(plot.at).some(([name, k]) => page.cell[name] !== k)) return;  // no cursor in a file, and beside the chosen cell
+      const lists = this.lists(canvas), dot = lists[page.cell.start ?? 0] ?? lists[0];
+      const [u, v] = dot ? [dot.xs[page.cell.point], dot.ys[page.cell.point]] : [x, y];
+      if (u !== undefined && v !== undefined) { mark(c, "o", sx(u), sy(v), 7, "transparent", ink.plate); mark(c, "o", sx(u), sy(v), 6, "transparent", ink.ink); return; }
       if (x !== undefined) line(c, [x, x], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [3, 3]);
       if (y !== undefined) line(c, [sx.inverse(box.left), sx.inverse(box.right)], [y, y], sx, sy, ink.ink, 1.2, [3, 3]);
     }, { square: plot.square, grid: !plot.items.some((item) => item.kind === "cells") });
   }
 
+  /** What a plot shows of each point of a list: one series, or one for each start. */
+  lists(canvas) {
+    const { axes } = this.page.grid, found = canvas.readings.filter(({ xs }) => xs.length === axes.get("point")?.values.length);
+    return [1, axes.get("start")?.values.length].includes(found.length) ? found : [];
+  }
+
   /** Choose the cell nearest to a place, of those that the plot shows. */
   pick(canvas, plot, [px, py]) {
-    const { page } = this, { frame } = canvas, cell = { ...page.cell, ...plot.at };
+    const { page } = this, { frame } = canvas, cell = { ...page.cell, ...plot.at }, lists = this.lists(canvas);
     if (!frame) return;
+    const dot = readingAt({ frame, readings: lists }, [px, py]);
+    if (dot) { page.pick({ ...cell, point: dot.k, ...(lists.length > 1 ? { start: lists.indexOf(dot.series) } : {}) }); return; }
     const ways = [["x", px], ["y", py]].map(([name, pixel]) => [page.direction(plot[name].direction), frame[name], pixel]).filter(([way]) => way);
+    if (!ways.length && !Object.keys(plot.at).length) return;
     const byAxis = new Map();
     for (const way of ways) byAxis.set(way[0].axis.name, [...(byAxis.get(way[0].axis.name) ?? []), way]);
     for (const [name, some] of byAxis) {

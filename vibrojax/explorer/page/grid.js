@@ -91,13 +91,14 @@ export class Grid {
     return `${column.symbol} = ${numberText(value * column.factor, digits)}${unit}`;
   }
 
-  /** Where a cell is along the axes named `along`, in words. */
-  cellText(cell, along, text = (column, k) => this.coordinateText(column, k)) {
+  /** Where a cell is along the axes named `along`, in words; `short`: a start of many numbers by its own number. */
+  cellText(cell, along, text = (column, k) => this.coordinateText(column, k), short = false) {
     const parts = [];
     for (const axis of this.data.axes) {
       if (!(axis.name in cell) || !along.includes(axis.name)) continue;
       const columns = axis.columns.filter((one) => !one.silent && (new Set(one.values).size > 1 || !one.numeric));
-      for (const column of columns.length ? columns : [axis]) parts.push(text(column, cell[axis.name]));
+      if (short && axis.name === "start" && columns.length > 2) parts.push(`start ${cell.start}`);
+      else for (const column of columns.length ? columns : [axis]) parts.push(text(column, cell[axis.name]));
     }
     return parts.join(", ");
   }

@@ -100,6 +100,7 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     canvas.addEventListener("pointermove", (event) => tell(from && dragged ? null : canvas.frame && readingAt(canvas, place(event))));
     for (const name of ["pointerleave", "blur"]) canvas.addEventListener(name, () => tell(null));
     canvas.addEventListener("keydown", (event) => {
+      if (event.key === "Enter" && shown) { click?.([canvas.frame.x(shown.x), canvas.frame.y(shown.y)], event); return; }
       const [along, across] = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1], Home: [-1e9, 0], End: [1e9, 0] }[event.key] ?? [0, 0], { frame } = canvas;
       const seen = ({ xs, ys }) => [...xs.keys()].filter((k) => isInside([frame.x(xs[k]), frame.y(ys[k])], frame.box)), readings = frame ? canvas.readings.filter((one) => seen(one).length) : [];
       if ((!along && !across) || !readings.length || event.ctrlKey || event.metaKey || event.altKey) return;

@@ -10,6 +10,8 @@ const HELP = "Click a cell, or give the map the focus and use the arrow keys (wi
   "Drag a box to zoom; the menu ⋯ of each plot has its files. " +
   "The URL stores your selection: a link restores it.";
 
+const POINTS_HELP = "Click a plot, or move in it with the arrow keys and choose with Enter. ";
+
 const PLOTS_HELP = "Drag a box in a plot to zoom, with Shift to move; a double click resets. The menu ⋯ of each plot has its files.";
 
 /** Lay a page out in its element; the parts that are drawn into are attributes of the page. */
@@ -60,7 +62,8 @@ export function layOut(page) {
   page.element.classList.toggle("vx-has-cell", Boolean(data.lanes) && !data.history);
   page.element.classList.add("vibrojax");
   page.element.classList.toggle("vx-alone", data.kind === "plots" && !data.summary.length && !data.variables.length);
-  page.element.classList.toggle("vx-still", !data.lanes && !data.history);
+  page.element.classList.toggle("vx-still", !data.lanes && !data.history && data.map !== false);
+  page.element.classList.toggle("vx-cells", !data.lanes && data.map === false && !data.axes.some(({ name }) => name === "form"));
   page.element.replaceChildren(
     el("header", { class: "vx-head" }, el("div", {}, el("h1", { text: data.title || data.scene }), ...notes), page.theme),
     el("div", { class: "vx-main" },
@@ -68,5 +71,5 @@ export function layOut(page) {
       sheet,
       page.table),
     el("footer", { class: "vx-foot" }, el("p", { text: [data.scene, data.source].filter(Boolean).join(", ") }),
-      el("p", { text: data.kind === "plots" ? PLOTS_HELP : HELP })));
+      el("p", { text: data.map === false ? POINTS_HELP + PLOTS_HELP : data.kind === "plots" ? PLOTS_HELP : HELP })));
 }

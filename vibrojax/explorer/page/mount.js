@@ -82,6 +82,7 @@ class Page {
 
   /** The directions of the first view: those the document names, else the two longest. */
   choose() {
+    if (this.data.map === false) return;  // its plots stand in place of the map
     const along = this.directions.filter((one) => this.along(one)), wanted = this.data.view ?? [];
     const longest = [...along].sort((a, b) => b.axis.values.length - a.axis.values.length);
     const x = along.find((one) => one.id === wanted[0]) ?? longest[0] ?? null;
@@ -97,6 +98,7 @@ class Page {
   along(direction) { return this.variable?.axes.includes(direction.axis.name); }
 
   fillControls() {
+    if (!this.shown.x) return;
     const focus = document.activeElement?.dataset?.control;
     this.controls.replaceChildren(...controlsOf(this));
     if (focus && focus !== "") this.controls.querySelector(`[data-control="${focus}"]`)?.focus();
@@ -228,7 +230,7 @@ class Page {
   /** The axes that the chosen lane, and its attractor, are named by; without lanes those of the variable that is shown. */
   get named() {
     const { data, grid } = this, left = { attractor: grid.startAxes, start: ["attractor"] }[this.apart] ?? [];
-    const axes = data.lanes ? [...data.lanes.axes, "attractor"] : this.variable?.axes ?? [];
+    const axes = data.lanes ? [...data.lanes.axes, "attractor"] : data.map === false ? data.axes.map((axis) => axis.name).filter((name) => name !== "form") : this.variable?.axes ?? [];
     return axes.filter((name) => !left.includes(name));
   }
 
@@ -252,9 +254,9 @@ class Page {
   /** What is chosen, in words, for who does not see the map. */
   say() {
     if (!this.shown.x) return;
-    const { variable, grid } = this, value = grid.valueText(variable, grid.value(variable.name, this.cell));
+    const { variable, grid } = this, value = grid.valueText(variable, grid.value(variable.name, this.cell)), name = variable.name.replaceAll("_", " ");
     const names = this.view.namesAt(null, this.cell), here = names.length ? `; here curves meet: ${names.join(", ")}` : "";
-    this.live.textContent = `${grid.cellText(this.cell, variable.axes)}: ${variable.name.replaceAll("_", " ")} ${value}${here}`;
+    this.live.textContent = `${grid.cellText(this.cell, variable.axes, undefined, true)}: ${name.endsWith(value.split(" ")[0]) ? "" : `${name} `}${value}${here}`;
   }
 
   showMotion(motion) {
@@ -282,7 +284,7 @@ class Page {
       this.choose();
     }
     const x = this.direction(said.x), y = this.direction(said.y);
-    if (x && this.along(x)) {
+    if (this.shown.x && x && this.along(x)) {
       shown.x = x.id;
       shown.y = y && !this.variable.inner && this.along(y) && Grid.together(x, y) ? y.id : null;
     }
@@ -312,7 +314,7 @@ class Page {
   pinned(motion) { return this.pins.list.filter((pin) => pin.motion !== motion); }
 
   /** The chosen cell, or the point beside it, in words. */
-  titleOf() { return this.point?.title || this.grid.cellText(this.cell, this.named) || "The motion"; }
+  titleOf() { return this.point?.title || this.grid.cellText(this.cell, this.named, undefined, true) || (this.data.lanes ? "The motion" : ""); }
 
   /** The place of a map along the axes that it does not run along. */
   facetKey() { return JSON.stringify([this.shown.x, this.shown.y, ...Object.keys(this.cell).sort().filter((name) => ![this.shown.x, this.shown.y].includes(name)).map((name) => this.cell[name])]); }

@@ -18,7 +18,7 @@ function hover(page, cell, place) {
   const names = page.view.namesAt(place, cell).map((name) => el("b", { text: name }));
   const border = page.view.borderAt(place);
   if (border) names.push(el("span", { text: `${border}: ${page.data.meanings?.[border] ?? "a border"}` }));
-  page.tip.replaceChildren(...names, el("b", { text: value }), el("span", { text: inside ? placeText(page, inside.at) : page.grid.cellText(cell, page.variable.axes) }));
+  page.tip.replaceChildren(...names, el("b", { text: value }), el("span", { text: inside ? placeText(page, inside.at) : page.grid.cellText(cell, page.variable.axes, undefined, true) }));
   const box = page.over.getBoundingClientRect(), wide = page.tip.offsetWidth;
   page.tip.style.left = `${Math.max(0, Math.min(place[0] + 14, box.width - wide - 4))}px`;
   page.tip.style.top = `${place[1] > box.height / 2 ? place[1] - page.tip.offsetHeight - 12 : place[1] + 16}px`;
