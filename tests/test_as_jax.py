@@ -37,11 +37,23 @@ def test_reason_is_none_exactly_where_function_is_valid(f):
     )
 
 
-def test_reason_names_features_that_the_orbit_lacks():
-    """Without impacts there is no impact velocity."""
+def test_features_that_the_orbit_lacks_have_no_gradient():
+    """Without impacts there is no impact velocity. In both modes, the period's derivatives do not depend on it."""
     with pytest.warns(vj.UnusualValue):
-        f = _function(of="impact_velocity", delta=0.5)
+        f = _function(of=["impact_velocity", "period"], delta=0.5)
     assert not f(HERE)["valid"] and f.reason(HERE) == "undefined: the orbit has no derivative of impact_velocity"
+    slope = jax.grad(lambda x: f(x)["period"])(jnp.asarray(HERE))
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        slopes = jax.jit(jacobian(lambda x: {name: f(x)[name] for name in ("impact_velocity", "period")}))(HERE)
+        assert np.isnan(slopes["impact_velocity"]).all() and np.isfinite(slope).all()
+        np.testing.assert_array_equal(slopes["period"], slope)
+
+
+def test_parameters_that_simulate_refuses_are_not_valid():
+    """The branch ends at the least damping, 0; the laws of nature go on with a negative one."""
+    f = _function(by="c2", at=[250.0])
+    assert f([0.0])["valid"] and f.reason([-5.0]) == "refused: c2 is -5; it must be at least 0 N s m-1"
+    assert not f([-5.0])["valid"] and f([-5.0])["period"] == pytest.approx(float(f([0.0])["period"]), rel=1e-7)
 
 
 def test_reason_without_orbit():
@@ -60,7 +72,9 @@ def test_reason_without_orbit():
     )
 
 
-def test_values_of_the_first_point_are_checked():
+def test_points_are_checked(f):
+    with pytest.raises(InputError, match="as_jax: the array has the type complex64; give real numbers"):
+        f(np.complex64(HERE))
     with pytest.raises(InputError, match=r"as_jax: at: .* give a list of one number for each of beta, gamma"):
         _function(at=[0.4])
     with pytest.raises(InputError, match=r"as_jax: at\[0\]: is -1; it must be above 0"):

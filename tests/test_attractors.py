@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from systems import IMPACT_OSCILLATOR
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -102,6 +103,13 @@ def test_doubled_orbit_keeps_its_number(attractors):
     kinds = family.special_kind.attrs["flag_meanings"].split()
     doubled = family.special_kind.values == kinds.index("period-doubling")
     assert ((family.special_value.values[doubled] > 0.35) & (family.special_value.values[doubled] < 0.3625)).any()
+
+
+def test_orbit_keeps_its_number_where_an_impact_passes_the_section():
+    """Between these amplitudes the state at the section jumps, as the orbit's only impact passes it."""
+    sweep = {"scene": IMPACT_OSCILLATOR, "starts": [[0.0, 0.0]], "grid": {"a": [0.8, 0.88]}}
+    result = vj.attractors(sweep, progress=False)
+    assert result.sizes["attractor"] == 1 and (np.diff(np.sign(result.orbit_v.values[:, 0])) == -2).all()
 
 
 def test_named_starts_are_assigned_to_attractors(sweep, attractors):

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from systems import IMPACT_OSCILLATOR, oscillator_orbits
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -164,6 +165,15 @@ def test_rows_without_orbit_are_left_out_and_named_so(use_model):
     use_model(0.6)
     with pytest.raises(InputError, match="1 of 5 observations has an orbit of one kind inside the bounds: 1 value for"):
         _calibrated({"v": speeds, "period": observed})
+
+
+def test_observations_on_both_sides_of_an_impact_at_the_section_are_used():
+    """At a = 0.84, where the orbit's impact passes the section, only the state there jumps."""
+    point, a = {"w": 0.9, "damping": 0.1, "stop": 1.0}, [0.75, 0.8, 0.88]
+    speeds = [oscillator_orbits(R=0.7, stiffness=1.0, a=x, **point)[-1].speed for x in a]
+    known = {"scene": IMPACT_OSCILLATOR, "parameters": point, "data": {"a": a, "impact_velocity": speeds}}
+    fit = vj.calibrate({**known, "unknown": {"r": [0.5, 0.9]}, "searches": 1, "draws": 2}, progress=False)
+    assert fit.used.all() and fit.estimate.item() == pytest.approx(0.7, rel=1e-7)
 
 
 @pytest.mark.long

@@ -309,10 +309,22 @@ def test_values_outside_region_of_validity(f):
     last = int(np.flatnonzero(between["valid"])[-1])
     assert (np.diff(between["valid"].astype(int)) <= 0).all() and 0 < last < 64
     assert beyond["period"] == pytest.approx(float(between["period"][last]), rel=1e-2)
+    for name in OF:  # the last orbit is the same for all points beyond
+        np.testing.assert_allclose(between[name][last + 1 :], beyond[name], rtol=1e-6)
     unknown = jax_function(outside="nan")
     assert np.isnan([unknown(BEYOND)[name] for name in OF]).all() and not unknown(BEYOND)["valid"]
     assert np.isnan(jax.grad(lambda x: unknown(x)["period"])(BEYOND)).all()
     assert jnp.isfinite(unknown(HERE)["period"])
+
+
+def test_orbit_continues_where_an_impact_passes_the_section():
+    """At a = 0.84 the state at the section jumps, and nothing else; the motion is that of a closed form."""
+    point = {"w": 0.9, "damping": 0.1, "stop": 1.0, "r": 0.7}
+    f = vj.as_jax(IMPACT_OSCILLATOR, of="impact_velocity", by="a", at=[1.0], **point)
+    for a in (0.8, 0.6):
+        assert f([a])["valid"] and f([a])["impact_velocity"] == pytest.approx(impact_speed(a=a, **point), rel=1e-8)
+        slope = (impact_speed(a=a + 1e-6, **point) - impact_speed(a=a - 1e-6, **point)) / 2e-6
+        assert jax.grad(lambda x: f(x)["impact_velocity"])(jnp.array([a])) == pytest.approx(slope, rel=1e-6)
 
 
 def test_optimizers_converge(f):

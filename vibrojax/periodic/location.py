@@ -18,6 +18,7 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.arclength import SHORTEST_STEP, Branches
 from vibrojax.periodic.brackets import ACCEPTED_WITHIN, EVENT_CHANGE, Brackets, TestFunction, shrink_brackets
 from vibrojax.periodic.newton import multipliers
+from vibrojax.periodic.orbits import across_impacts
 from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns, towards
 
 MAX_EVENT_CHANGES = 8
@@ -189,6 +190,9 @@ DEPARTURE_DISTANCES = (1e-6, 1e-5, 1e-4, 1e-3)
 REINDEX_DISTANCES = (1e-7, 1e-6, 1e-5, 1e-4)
 """Scaled distances behind a tangency with the section at which section crossings are counted again."""
 
+AT_STOP = 1e-5
+"""Largest gap at which a state is at an impact, relative to a typical gap."""
+
 SAME_PERIOD = 1e-4
 """Largest relative difference of the period between two descriptions of one motion with different crossings."""
 
@@ -267,11 +271,12 @@ def cross_impact(problem: Problem, last: Points) -> Points | None:
     The states before and after the impact differ, although the motion changes smoothly. Return the new point, or None
     if no state at the section is at an impact. `last`: last point of one branch.
     """
-    scene, lane, sign = problem.scene, last.family, np.sign(last.tangent[:, -1])
+    lane, sign, rows = last.family, np.sign(last.tangent[:, -1]), problem.rows
     states, parameters = problem.states(lane, last.u)[0], problem.parameters_at(lane, last.u)
     for cycle, state in enumerate(states):
-        for other in scene.states_across_impacts(parameters, dict(zip(scene.return_states, state, strict=True))):
-            rows = problem.rows
+        for [gap], [other] in across_impacts(problem.scene, parameters, state[None]):
+            if abs(gap) > AT_STOP or not np.isfinite(other).all():
+                continue
             mine, previous = (slice(k * rows, (k + 1) * rows) for k in (cycle, (cycle - 1) % len(states)))
             for distance in REINDEX_DISTANCES:
                 guess = last.u + distance * last.tangent

@@ -19,15 +19,18 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Complex, Float, Int
 
+from vibrojax.compile.xla import precision
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
+from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.inputs import Features, LaneInputs
 from vibrojax.lanes.programs import LaneArguments
-from vibrojax.lazy import jax
+from vibrojax.lazy import jax, jnp
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.periodic.derivatives import NEUTRAL, NO_ORBIT, OrbitFeatures, differentiated
 from vibrojax.periodic.measuring import ORBIT_ACCURACY, Measuring
 from vibrojax.periodic.newton import chain, held_states, images_by_lane, multipliers, shooting_matrix, solve
-from vibrojax.periodic.return_map import Segments
+from vibrojax.periodic.return_map import Segments, at_section
+from vibrojax.physics.arrays import Array, Lanes
 from vibrojax.scenes import Scene
 from vibrojax.stepping import Accuracy
 
@@ -278,6 +281,7 @@ class Orbits:
         within: float,
         least: float,
         first: float = 1.0,
+        cautious: float = 0.0,
         by: Sequence[str] = (),
         slopes: Float[np.ndarray, "orbits cycles states by"] | None = None,
         accept: "Callable[[Orbits], Mask]" = lambda orbits: orbits.converged,
@@ -288,12 +292,15 @@ class Orbits:
 
         The parameters vary along straight lines. States are predicted from the slopes at the last orbit, or from the
         last step, and corrected by Newton's method. After an orbit that is not accepted the step is halved, otherwise
-        doubled. Orbits that do not arrive are returned at the last point at which they were accepted.
+        doubled. Where a rigid impact passes the section on the way, the state at the section jumps, and the orbit is
+        continued from its other side. Orbits that do not arrive are returned at the last point at which they were
+        accepted.
 
         **Arguments:**
 
         - `within`: scaled distance from the prediction beyond which an orbit counts as another one.
         - `first`, `least`: first and least step, as fractions of the way.
+        - `cautious`: step below which a step is doubled only after two accepted orbits, since the branch probably ends.
         - `by`, `slopes`: parameters that vary, and derivatives of the states with respect to them. Without `by`,
           predictions use the last step.
         - `accept`: mask of the orbits that count as a continuation, of orbits that have converged.
@@ -305,17 +312,27 @@ class Orbits:
             way = np.stack([parameters[name] - self.parameters[name] for name in by], axis=1)
             slopes = self.derivatives((), by).state_derivatives if slopes is None else slopes
             rate = np.einsum("lksj,lj->lks", slopes, way)
-        done, step = np.zeros(len(self)), np.full(len(self), first)
+        done, step, halved = np.zeros(len(self)), np.full(len(self), first), np.zeros(len(self), bool)
         active = np.arange(len(self))
+
+        def correct(lanes: Index, goal: Mapping[str, PerOrbit], guess: States) -> tuple[Orbits, Mask]:
+            unit = None if scales is None else scales[lanes]
+            orbit = Orbits.find(self.scene, goal, guess, unit, within, go).refined()
+            return orbit, orbit.converged & (orbit.moved <= within) & accept(orbit)
+
         while len(active):
             advance = np.minimum(step[active], 1 - done[active])
             share = done[active] + advance
             ends = {name: (x[active], parameters[name][active]) for name, x in self.parameters.items()}
             goal = {name: np.where(share < 1, x + share * (end - x), end) for name, (x, end) in ends.items()}
             guess = here.states[active] + rate[active] * advance[:, None, None]
-            unit = None if scales is None else scales[active]
-            orbit = Orbits.find(self.scene, goal, guess, unit, within, go).refined()
-            good = orbit.converged & (orbit.moved <= within) & accept(orbit)
+            orbit, good = correct(active, goal, guess)
+            jumps, failed = np.zeros(len(active), bool), np.flatnonzero(~good)
+            other, passed = _beyond_impacts(self.scene, {name: x[failed] for name, x in goal.items()}, guess[failed])
+            if len(failed := failed[passed]):
+                beyond, sound = correct(active[failed], {name: x[failed] for name, x in goal.items()}, other[passed])
+                good[failed] = jumps[failed] = sound
+                _assign(orbit, failed[sound], beyond.of(sound))
             if by:
                 onward = np.flatnonzero(good & (share < 1))
                 slopes = orbit.of(onward).derivatives((), by).state_derivatives
@@ -323,10 +340,13 @@ class Orbits:
                 rate[active[onward[sound]]] = np.einsum("lksj,lj->lks", slopes, way[active[onward]])[sound]
             accepted, rejected = active[good], active[~good]
             if not by:
-                rate[accepted] = (orbit.states[good] - here.states[accepted]) / advance[good, None, None]
+                moved = np.where(jumps[:, None, None], 0.0, orbit.states - here.states[active])
+                rate[accepted] = moved[good] / advance[good, None, None]
             _assign(here, accepted, replace(orbit.of(good), lane=self.lane[accepted]))
             done[accepted] = share[good]
-            step[accepted], step[rejected] = 2 * advance[good], advance[~good] / 2
+            waits = halved[accepted] & (advance[good] < cautious)
+            step[accepted], step[rejected] = np.where(waits, 1, 2) * advance[good], advance[~good] / 2
+            halved[active] = ~good
             active = active[(done[active] < 1) & (step[active] >= least)]
         return here, done >= 1
 
@@ -400,6 +420,39 @@ def orbits_of(
                 orbit.scales[:, k] = scale
         batches.append(orbit)
     return batches
+
+
+@lane_function(static=1)
+def _across_impacts(scene: Scene[Any], p: dict[str, Lanes], state: Array) -> list[tuple[Lanes, Array]]:
+    values = at_section(scene, state)
+    c = scene.scaled(scene.constants(p), values)
+    places = [scene.place(name) for name in scene.return_states]
+    return [(gap, jnp.stack([other[k] for k in places])) for gap, other in scene.across_impacts(c, values)]
+
+
+def across_impacts(
+    scene: Scene[Any], parameters: Mapping[str, PerOrbit], states: Float[np.ndarray, "orbits states"]
+) -> list[tuple[PerOrbit, Float[np.ndarray, "orbits states"]]]:
+    """Return the gap of each rigid impact, and the states at the section on the other side of the impact.
+
+    See [vibrojax.scenes.Scene.across_impacts][].
+    """
+    own = _driving(scene, parameters)
+    with precision("float64"):
+        sides = _across_impacts(scene.driving_part(), own, np.ascontiguousarray(states.T)) if scene.stops else []
+    return [(np.asarray(gap), np.asarray(other).T) for gap, other in sides]
+
+
+def _beyond_impacts(scene: Scene[Any], parameters: Mapping[str, PerOrbit], guess: States) -> tuple[States, Mask]:
+    """Return guesses in which states that penetrate a stop are replaced by those across the impact, and their mask."""
+    count, cycles, rows = guess.shape
+    states = guess.reshape(-1, rows)
+    own = {name: np.repeat(x, cycles) for name, x in parameters.items()}
+    for gap, other in across_impacts(scene, own, states) if count else []:
+        beyond = (gap < 0) & np.isfinite(other).all(axis=1)
+        states = np.where(beyond[:, None], other, states)
+    new = states.reshape(count, cycles, rows)
+    return new, (new != guess).any(axis=(1, 2))
 
 
 def _driving(scene: Scene[Any], parameters: Mapping[str, PerOrbit]) -> dict[str, PerOrbit]:

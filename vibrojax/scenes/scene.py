@@ -144,8 +144,17 @@ class Scene(ABC, Generic[C]):
         """Return what can be wrong with an initial `state`: reasons of lanes, messages of the first, masks (lanes,)."""
         return []
 
-    def states_across_impacts(self, p: Mapping[str, Any], state: Mapping[str, Any]) -> list[Any]:
-        """Return the states on the other side of a rigid impact, if `state` is at one."""
+    @property
+    def stops(self) -> tuple[str, ...]:
+        """Names of the rigid stops, at which a velocity jumps."""
+        return ()
+
+    def across_impacts(self, c: C, state: Values) -> list[tuple[Any, Values]]:
+        """Return for each of the `stops` the gap, relative to a typical one, and the state across the impact.
+
+        Bodies that approach have bounced, and bodies that separate have not yet. The motion of both sides is
+        extrapolated linearly over the time to the impact, so that the gap should be small; it may be negative.
+        """
         return []
 
     def fault(self, mode: Values) -> Any:

@@ -30,8 +30,9 @@ MAX_CACHED = 1024
 SAME_BRANCH = 0.05
 """Largest distance, in half swings, between an orbit and its linear prediction. Otherwise the step is halved."""
 
-LEAST_FRACTION = 1 / 64
-"""Smallest step of the continuation, as a fraction of the way from the first orbit."""
+CAUTIOUS_FRACTION, LEAST_FRACTION = 1 / 64, 1e-7
+"""Steps of the continuation, as fractions of the way from the first orbit: the step below which the branch probably
+ends, and the least, which is the distance of the last orbit from the end."""
 
 SEARCHED = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Relative changes of the parameters at which the first orbit is searched, if there is none at the first point."""
@@ -66,6 +67,7 @@ class Branch:
     ) -> None:
         self.point, self.by, self.at = point, tuple(by), at
         self.of = tuple(dict.fromkeys((*of, STABILITY, MARGIN)))
+        self._table = point.system.parameters()
         self._scale = np.array([abs(point.parameters[name]) or 1.0 for name in by])
         self._first: Orbits | None = None
         self._slopes = np.zeros(0)
@@ -103,6 +105,8 @@ class Branch:
             return "none"
         if not np.isfinite(x).all():
             return f"undefined: {self.described(x)}"
+        if refusal := self._refusal(x):
+            return f"refused: {refusal}"
         if self._first is None:
             start = "" if self.point.start is None else f" from {shown(self.point.start)}"
             where = "" if self.at is None else f" at {self.described(self.at)} or near it"
@@ -141,9 +145,12 @@ class Branch:
             self._parameters(x),
             within=SAME_BRANCH,
             least=LEAST_FRACTION,
+            cautious=CAUTIOUS_FRACTION,
             by=self.by,
             slopes=self._slopes[each],
-            accept=lambda orbits: (orbits.impacts == first.impacts) & ~orbits.neutral,
+            accept=lambda orbits: (
+                (orbits.impacts == first.impacts) & ~orbits.neutral & self._admits(self._reached(orbits))
+            ),
         )
         values, derivatives, *_ = orbits.derivatives(self.of, self.by)
         reached = self._reached(orbits)
@@ -154,6 +161,17 @@ class Branch:
         fixed = {name: np.full(len(x), value) for name, value in self.point.parameters.items()}
         return fixed | {name: x[:, k] for k, name in enumerate(self.by)}
 
+    def _refusal(self, x: Float[np.ndarray, " by"]) -> str:
+        """Return why no motion is computed at the point `x`; empty if it is."""
+        for name, y in zip(self.by, x.tolist(), strict=True):
+            if problem := self._table[name].problem(y):
+                return f"{name} {problem}"
+        why, unfit = self.point.system.refused(self._parameters(x[None])) or ("", np.zeros(1))
+        return why.replace("-", " ") if np.ravel(unfit)[0] else ""
+
+    def _admits(self, x: Points) -> Bool[np.ndarray, " lanes"]:
+        return np.array([not self._refusal(row) for row in x], bool)
+
     def _reached(self, orbits: Orbits) -> Points:
         return np.stack([orbits.parameters[name] for name in self.by], axis=1)
 
@@ -163,10 +181,8 @@ class Branch:
         corners = np.concatenate([np.eye(len(x)), -np.eye(len(x)), np.ones((1, len(x))), -np.ones((1, len(x)))])
         around = [x + share * corners * self._scale for share in SEARCHED]
         defaults = np.array([[self.point.parameters[name] for name in self.by]])
-        table = [scene.parameters()[name] for name in self.by]
         for points in (x[None], np.concatenate([*around, defaults])):
-            admissible = [not any(p.problem(y) for p, y in zip(table, row, strict=True)) for row in points.tolist()]
-            rows = points[admissible]
+            rows = points[self._admits(points)]
             if not len(rows):
                 continue
             lanes, distance = settled_at(self.point, self.by, rows), np.abs((rows - x) / self._scale).max(axis=1)
@@ -236,8 +252,9 @@ class OrbitFunction:
     def reason(self, x: Any) -> str:
         """Return why the function is not valid at `x` (parameters,), or "none" where it is valid.
 
-        The first word is "undefined" (not a number, or the orbit lacks a feature or a derivative), "no-orbit" (there is
-        no first orbit), "beyond-branch" (the orbit ends on the way from the first one) or "unstable".
+        The first word is "undefined" (not a number, or the orbit lacks a feature or a derivative), "refused" (by
+        `simulate`, too), "no-orbit" (there is no first orbit), "beyond-branch" (the orbit ends on the way from the
+        first one) or "unstable".
         """
         check_untraced(Place("as_jax", "reason").error, x)
         return self._branch.reason(np.array(self._checked(np.asarray(x)), float))
@@ -247,6 +264,8 @@ class OrbitFunction:
         if x.shape != (len(names),):
             expected = f"({len(names)},), one number for each of {', '.join(names)}"
             raise InputError(f"as_jax: the array has the shape {x.shape}; give {expected}")
+        if jnp.iscomplexobj(x):
+            raise InputError(f"as_jax: the array has the type {x.dtype}; give real numbers")
         return x
 
     def __repr__(self) -> str:
@@ -276,13 +295,14 @@ def as_jax(
     At its first use, the function finds the first orbit: the one on which the motion from `start` settles at the point
     `at`. Further calls continue this orbit on the straight line to their point, so a result does not depend on other
     calls. Without `at`, the first point that is evaluated takes its place. The gradients are those of
-    [vibrojax.sensitivity][]. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.jit` and `jax.vmap` work. Second derivatives
-    are not available.
+    [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work, and so do `jax.jacfwd` and `jax.jacrev` of the
+    features, without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`.
+    Second derivatives are not available.
 
     The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
-    stable. Elsewhere the result belongs to the last orbit on the straight line from the first one. An orbit that has
-    become unstable is continued, with a positive `margin`, so that stability can be a smooth constraint. `f.reason(x)`
-    returns the reason as text.
+    stable, and `simulate` admits the parameters. Elsewhere the result belongs to the last orbit on the straight line
+    from the first one, up to 1e-7 of the line. An orbit that has become unstable is continued, with a positive
+    `margin`, so that stability can be a smooth constraint. `f.reason(x)` returns the reason as text.
 
     Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument, at
     least float32.
@@ -297,8 +317,8 @@ def as_jax(
     **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin`,
     `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
     multipliers, negative if stable, and `grazing_margin` the distance from a change in the order of events. Features
-    are NaN if no motion from `start` is periodic at the first point or near it, or if the orbit does not have them
-    (without impacts, an impact velocity). The function can be pickled, with its first orbit.
+    and their gradients are NaN if no motion from `start` is periodic at the first point or near it, or if the orbit
+    does not have them (without impacts, an impact velocity). The function can be pickled, with its first orbit.
 
     **Raises:** `InputError` for an unknown name or a wrong value.
 
@@ -345,9 +365,7 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
         points = np.ascontiguousarray(x.reshape(-1, size), float)
         features = deferring_interrupts(lambda: branch.evaluate(points), branch.unknown(len(points)))
         values = np.concatenate([features.values, features.valid[:, None]], axis=1)
-        has_orbit = np.isfinite(features.reached).all(axis=1)[:, None, None]
-        slopes = np.where(has_orbit & ~np.isfinite(features.derivatives), 0.0, features.derivatives)
-        slopes = np.concatenate([slopes, np.zeros((len(values), 1, size))], axis=1)
+        slopes = np.concatenate([features.derivatives, np.zeros((len(values), 1, size))], axis=1)
         if outside == "nan":
             values[~features.valid, :-1] = np.nan
             slopes[~features.valid, :-1] = np.nan
@@ -390,7 +408,12 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
     @features.defjvp
     def _(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
         values, slopes = both(*primals)
-        return values, slopes @ tangents[0]
+        # An unknown slope is NaN, and yet 0 times it is 0 in both modes: a feature that is not used, whose cotangent is
+        # 0, does not affect gradients. The product in this order, which is its own transpose, overflows before it meets
+        # the 0 in place of the slope, unless it is 0 itself.
+        known = jnp.isfinite(slopes)
+        huge = jnp.where(known, 1.0, jnp.finfo(slopes.dtype).max)
+        return values, (tangents[0][None] * huge * huge * jnp.where(known, slopes, 0.0) * huge * huge).sum(axis=-1)
 
     return features
 

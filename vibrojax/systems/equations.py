@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.lazy import jax, jnp, lax
+from vibrojax.lazy import jnp, lax
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Guard, Start, Values
 from vibrojax.scenes.scene import Scene
@@ -28,9 +28,6 @@ from vibrojax.systems.transitions import (
 APPROACH = "approach"
 """Name of the hidden state with the speed of the last impact."""
 
-AT_STOP = 1e-5
-"""Largest gap at which a state is at an impact, relative to a typical gap."""
-
 NEAR_SECTION, DRIFT = 0.1, 1e-6
 """Distance from a section, and error of that distance, up to which the error is kept, relative to a typical value."""
 
@@ -45,6 +42,11 @@ TURNED = "turned"
 
 SECTION = "section_value"
 """Name of the hidden state with the value of the function that defines the section."""
+
+
+def _moved(y: Mapping[str, Any], rates: Mapping[str, Any], time: Any) -> dict[str, Any]:
+    """Return the states after a short time, to first order."""
+    return {name: x + rates[name] * time if name in rates else x for name, x in y.items()}
 
 
 class SystemEquations(Scene[SystemConstants]):
@@ -211,30 +213,27 @@ class SystemEquations(Scene[SystemConstants]):
                 code = jnp.where(mask, float(number), code)
         return code
 
-    def states_across_impacts(self, p: Mapping[str, Any], state: Mapping[str, Any]) -> list[Any]:
-        """Return the states on the other side of an impact, if `state` is at one, with the names of `state`.
+    @property
+    def stops(self) -> tuple[str, ...]:
+        return tuple(event.name for _, event in self._flow.of(Impact) if event.velocity is not None)
 
-        The other side is after the impact if the bodies approach, and before it if they separate. `p`: parameters
-        (1,); `state`: the values of the return map's states.
-        """
-        with jax.enable_x64(True):
-            values = tuple(jnp.full((1,), state.get(name, 0.0)) for name in self.state_names)
-            c = self.scaled(self.constants({name: jnp.asarray(x) for name, x in p.items()}), values)
-            (t, y), flow = self._known(values), self._flow
-            mode = free_modes(flow, c, t, y, 0.0 * values[0])
-            across = []
-            for index, event in flow.of(Impact):
-                gap = flow.surface(c, mode, index, t, y)
-                near = jnp.abs(gap) <= AT_STOP / LIFT_ROUNDINGS / jnp.finfo(float).eps * c.lifts[index]
-                r, rate = event.bounce(c.p), flow.closing(c, mode, index, t, y)
-                new = jnp.where(rate < 0, -r * rate, -rate / r)
-                if event.velocity is None or not bool((near & jnp.isfinite(new)).all()):
-                    continue
-                jump = (new - rate) / flow.gain(c, mode, index, t, y)
-                moved = dict(zip(self.state_names, values, strict=True))
-                moved[event.velocity] = moved[event.velocity] + jump
-                across.append(np.array([float(jnp.ravel(moved[name])[0]) for name in state]))
-        return across
+    def across_impacts(self, c: SystemConstants, state: Values) -> list[tuple[Any, Values]]:
+        (t, y), flow = self._known(state), self._flow
+        mode = free_modes(flow, c, t, y, 0.0 * state[0])
+        sides = []
+        for index, event in flow.of(Impact):
+            if event.name not in self.stops:
+                continue
+            gap, rate = flow.surface(c, mode, index, t, y), flow.closing(c, mode, index, t, y)
+            ago = gap / rate
+            z = _moved(y, flow.plain(c, mode, t, y), -ago)
+            rate, r = flow.closing(c, mode, index, t - ago, z), event.bounce(c.p)
+            jump = (jnp.where(rate < 0, -r * rate, -rate / r) - rate) / flow.gain(c, mode, index, t - ago, z)
+            z = z | {event.velocity: z[event.velocity] + jump}
+            z = _moved(z, flow.plain(c, mode, t - ago, z), ago)
+            typical = c.lifts[index] / (LIFT_ROUNDINGS * jnp.finfo(c.lifts[index].dtype).eps)
+            sides.append((gap / typical, self._with_known(state, z)))
+        return sides
 
     def mode_at(self, c: SystemConstants, state: Values) -> Values:
         zero = jnp.zeros_like(state[0])
