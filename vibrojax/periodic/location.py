@@ -18,8 +18,8 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.arclength import SHORTEST_STEP, Branches
 from vibrojax.periodic.brackets import ACCEPTED_WITHIN, EVENT_CHANGE, Brackets, TestFunction, shrink_brackets
 from vibrojax.periodic.newton import multipliers
-from vibrojax.periodic.orbits import across_impacts
 from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns, towards
+from vibrojax.periodic.return_map import across_impacts
 
 MAX_EVENT_CHANGES = 8
 """Largest number of event changes that are located between two points of a branch."""

@@ -19,18 +19,15 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Complex, Float, Int
 
-from vibrojax.compile.xla import precision
 from vibrojax.io.variables import ORBIT_REASONS, orbit_name
-from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.inputs import Features, LaneInputs
 from vibrojax.lanes.programs import LaneArguments
-from vibrojax.lazy import jax, jnp
+from vibrojax.lazy import jax
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.periodic.derivatives import NEUTRAL, NO_ORBIT, OrbitFeatures, differentiated
 from vibrojax.periodic.measuring import ORBIT_ACCURACY, Measuring
 from vibrojax.periodic.newton import chain, held_states, images_by_lane, multipliers, shooting_matrix, solve
-from vibrojax.periodic.return_map import Segments, at_section
-from vibrojax.physics.arrays import Array, Lanes
+from vibrojax.periodic.return_map import Segments, beyond_impacts, driving_values
 from vibrojax.scenes import Scene
 from vibrojax.stepping import Accuracy
 
@@ -129,7 +126,7 @@ class Orbits:
         The derivative is evaluated at the states in the result, so callers may apply one more `step`.
         """
         count, cycles, rows = guess.shape
-        go, own = go or Segments(scene.driving_part()), _driving(scene, parameters)
+        go, own = go or Segments(scene.driving_part()), driving_values(scene, parameters)
         within = np.broadcast_to(np.asarray(within, float), count)
 
         def evaluate(states: States, orbits: Index) -> Any:
@@ -144,9 +141,7 @@ class Orbits:
         swing = np.where(swing > 0, swing, 1.0)
         scales = swing if scales is None else np.where(np.isnan(scales), swing, scales)
         states, residual = guess.copy(), _residual(guess, best, scales)
-        iterate, now = guess, best
-        outside = np.zeros(count, bool)
-        active = np.arange(count)
+        iterate, now, outside, active = guess, best, np.zeros(count, bool), np.arange(count)
         for _ in range(iterations):
             on = (residual[active] > enough) & np.isfinite(residual[active])
             active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
@@ -199,7 +194,7 @@ class Orbits:
         """Return known orbits with `cycles` crossings per period, from one state of each at the section."""
         go, states = go or Segments(scene.driving_part()), [begin]
         for _ in range(cycles - 1):
-            states.append(np.asarray(go(_driving(scene, parameters), states[-1].T).state).T)
+            states.append(np.asarray(go(driving_values(scene, parameters), states[-1].T).state).T)
         return cls.find(scene, parameters, np.stack(states, axis=1), go=go, iterations=0)
 
     def __len__(self) -> int:
@@ -328,7 +323,7 @@ class Orbits:
             guess = here.states[active] + rate[active] * advance[:, None, None]
             orbit, good = correct(active, goal, guess)
             jumps, failed = np.zeros(len(active), bool), np.flatnonzero(~good)
-            other, passed = _beyond_impacts(self.scene, {name: x[failed] for name, x in goal.items()}, guess[failed])
+            other, passed = beyond_impacts(self.scene, {name: x[failed] for name, x in goal.items()}, guess[failed])
             if len(failed := failed[passed]):
                 beyond, sound = correct(active[failed], {name: x[failed] for name, x in goal.items()}, other[passed])
                 good[failed] = jumps[failed] = sound
@@ -420,43 +415,6 @@ def orbits_of(
                 orbit.scales[:, k] = scale
         batches.append(orbit)
     return batches
-
-
-@lane_function(static=1)
-def _across_impacts(scene: Scene[Any], p: dict[str, Lanes], state: Array) -> list[tuple[Lanes, Array]]:
-    values = at_section(scene, state)
-    c = scene.scaled(scene.constants(p), values)
-    places = [scene.place(name) for name in scene.return_states]
-    return [(gap, jnp.stack([other[k] for k in places])) for gap, other in scene.across_impacts(c, values)]
-
-
-def across_impacts(
-    scene: Scene[Any], parameters: Mapping[str, PerOrbit], states: Float[np.ndarray, "orbits states"]
-) -> list[tuple[PerOrbit, Float[np.ndarray, "orbits states"]]]:
-    """Return the gap of each rigid impact, and the states at the section on the other side of the impact.
-
-    See [vibrojax.scenes.Scene.across_impacts][].
-    """
-    own = _driving(scene, parameters)
-    with precision("float64"):
-        sides = _across_impacts(scene.driving_part(), own, np.ascontiguousarray(states.T)) if scene.stops else []
-    return [(np.asarray(gap), np.asarray(other).T) for gap, other in sides]
-
-
-def _beyond_impacts(scene: Scene[Any], parameters: Mapping[str, PerOrbit], guess: States) -> tuple[States, Mask]:
-    """Return guesses in which states that penetrate a stop are replaced by those across the impact, and their mask."""
-    count, cycles, rows = guess.shape
-    states = guess.reshape(-1, rows)
-    own = {name: np.repeat(x, cycles) for name, x in parameters.items()}
-    for gap, other in across_impacts(scene, own, states) if count else []:
-        beyond = (gap < 0) & np.isfinite(other).all(axis=1)
-        states = np.where(beyond[:, None], other, states)
-    new = states.reshape(count, cycles, rows)
-    return new, (new != guess).any(axis=(1, 2))
-
-
-def _driving(scene: Scene[Any], parameters: Mapping[str, PerOrbit]) -> dict[str, PerOrbit]:
-    return {name: parameters[name] for name in scene.driving_part().parameters()}
 
 
 def _assign(whole: Any, index: Index, part: Any) -> None:

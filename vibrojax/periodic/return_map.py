@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from vibrojax.compile.xla import precision, workers
 from vibrojax.lanes.compiler import lane_function
@@ -30,6 +30,7 @@ MOST_STEPS = 4000
 
 
 Index = Int[np.ndarray, " segments"]
+PerOrbit = Float[np.ndarray, " orbits"]
 
 R = TypeVar("R")
 
@@ -279,3 +280,43 @@ def in_calls(work: Callable[[Index], R], number: int, workers: Sequence["jax.Dev
         parts[index] = result
     joined: R = jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *parts)
     return joined
+
+
+@lane_function(static=1)
+def _across_impacts(scene: Scene[Any], p: dict[str, Lanes], state: Array) -> list[tuple[Lanes, Array]]:
+    values = at_section(scene, state)
+    c = scene.scaled(scene.constants(p), values)
+    places = [scene.place(name) for name in scene.return_states]
+    return [(gap, jnp.stack([other[k] for k in places])) for gap, other in scene.across_impacts(c, values)]
+
+
+def across_impacts(
+    scene: Scene[Any], parameters: Mapping[str, PerOrbit], states: Float[np.ndarray, "orbits states"]
+) -> list[tuple[PerOrbit, Float[np.ndarray, "orbits states"]]]:
+    """Return the gap of each rigid impact, and the states at the section on the other side of the impact.
+
+    See [vibrojax.scenes.Scene.across_impacts][].
+    """
+    own = driving_values(scene, parameters)
+    with precision("float64"):
+        sides = _across_impacts(scene.driving_part(), own, np.ascontiguousarray(states.T)) if scene.stops else []
+    return [(np.asarray(gap), np.asarray(other).T) for gap, other in sides]
+
+
+def beyond_impacts(
+    scene: Scene[Any], parameters: Mapping[str, PerOrbit], guess: Float[np.ndarray, "orbits cycles states"]
+) -> tuple[np.ndarray, Bool[np.ndarray, " orbits"]]:
+    """Return guesses in which states that penetrate a stop are replaced by those across the impact, and their mask."""
+    count, cycles, rows = guess.shape
+    states = guess.reshape(-1, rows)
+    own = {name: np.repeat(x, cycles) for name, x in parameters.items()}
+    for gap, other in across_impacts(scene, own, states) if count else []:
+        beyond = (gap < 0) & np.isfinite(other).all(axis=1)
+        states = np.where(beyond[:, None], other, states)
+    new = states.reshape(count, cycles, rows)
+    return new, (new != guess).any(axis=(1, 2))
+
+
+def driving_values(scene: Scene[Any], parameters: Mapping[str, PerOrbit]) -> dict[str, PerOrbit]:
+    """Return the parameters of the part of a scene to which the return map belongs."""
+    return {name: parameters[name] for name in scene.driving_part().parameters()}
