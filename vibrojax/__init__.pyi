@@ -59,7 +59,7 @@ from vibrojax.studies.push import smallest_push as smallest_push
 from vibrojax.studies.rig_analysis import rig as rig
 from vibrojax.studies.rop_law import fit_rop as fit_rop
 from vibrojax.studies.sensitivity import sensitivity as sensitivity
-from vibrojax.studies.sweep_analysis import SweepAnalysis as SweepAnalysis
+from vibrojax.studies.subjects import SweepAnalysis as SweepAnalysis
 from vibrojax.studies.tolerance import tolerance as tolerance
 from vibrojax.studies.trajectory import simulate as simulate
 from vibrojax.systems.events import Friction as Friction

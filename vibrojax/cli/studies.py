@@ -159,7 +159,7 @@ def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
     from vibrojax.maps.run import lanes_beside
     from vibrojax.settings.fields import settings_of
     from vibrojax.studies.analysis import analyse, checked_result
-    from vibrojax.studies.sweep_analysis import SweepAnalysis
+    from vibrojax.studies.subjects import SweepAnalysis
 
     kind, file, progress = analysis_class.kind, str(options.file), not options.quiet
     given = {name: text for name in settings_of(analysis_class) if (text := getattr(options, name)) is not None}

@@ -33,7 +33,7 @@ from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
 from vibrojax.studies.attractor_groups import Motion
-from vibrojax.studies.sweep_analysis import SweepAnalysis
+from vibrojax.studies.subjects import SweepAnalysis
 
 MEASURED = ("period", "impacts", "impact_velocity", "impact_power", "stick_slip_index", "specific_energy")
 """Variables whose medians over an attractor's lanes are stored."""

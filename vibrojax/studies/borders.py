@@ -32,7 +32,7 @@ from vibrojax.scenes import HasImpacts
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
 from vibrojax.studies.border_curves import Border, ContinuedBorders, crossings_of
 from vibrojax.studies.border_grid import GridOrbit, OrbitGrid, OrbitLoss, Vertex, around_region
-from vibrojax.studies.sweep_analysis import SweepAnalysis
+from vibrojax.studies.subjects import SweepAnalysis
 
 WHERE = {
     "seed_": " from which the curve was continued; not defined for a border located between points of the grid",

@@ -33,7 +33,7 @@ from vibrojax.settings.run_settings import RunSettings, read_settings
 from vibrojax.settings.toml import bundled_names
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import PictureRule, SummaryPart
-from vibrojax.studies.sweep_analysis import SweepAnalysis
+from vibrojax.studies.subjects import SweepAnalysis
 from vibrojax.systems.system import DEFINED
 
 KIND = "sensitivity"

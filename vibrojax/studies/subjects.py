@@ -1,4 +1,4 @@
-"""Analyses by what they analyse: machines (points of a scene), or a file of the user's.
+"""Analyses by what they analyse: machines (points of a scene), a file of the user's, or the lanes of a sweep.
 
 Reading and computing are two steps: a command checks all input, and looks for a finished result, before it computes.
 """
@@ -11,8 +11,10 @@ import xarray as xr
 
 from vibrojax.errors import Place
 from vibrojax.maps.machines import Machines, read_machines
+from vibrojax.maps.rerun import orbits, sweep_with_orbits
+from vibrojax.maps.sweep import Sweep
 from vibrojax.settings.fields import settings_of
-from vibrojax.studies.analysis import Analysis, checked_result
+from vibrojax.studies.analysis import Analysis, Source, checked_result
 
 Spec = TypeVar("Spec")
 """Class of the checked input: `Machines`, or a class of the analysis."""
@@ -145,6 +147,43 @@ class FileAnalysis(CheckedAnalysis[Spec]):
     def run(self, source: Any, progress: bool = True) -> xr.Dataset:
         """Return the dataset of the analysis of a file, or of a dict with the same structure."""
         return self.compute(self.asked(source), progress)
+
+
+class SweepAnalysis(Analysis):
+    """An analysis of the lanes of a sweep and their periodic orbits.
+
+    A subclass provides `kind` and `of_lanes`. It overrides `sweep` to restrict the accepted sweeps, and `identity` if
+    the result depends on settings. If the analysis is run as a command, the finished chunks of the sweep are kept until
+    the result is written.
+
+    **Example:** the fraction of lanes that settle on a stable orbit
+
+    >>> class StableShare(vj.SweepAnalysis):
+    ...     kind = "stable-share"
+    ...     def of_lanes(self, sweep, lanes, progress=True):
+    ...         return self.dataset({"share": ((), float((lanes.stable == 1).mean()))}, {}, title=sweep.title)
+    >>> point = {"beta": 0.4, "gamma": 0.75, "delta": 0.005}
+    >>> sweep = {"scene": "vibro-impact", "parameters": point, "starts": ["stuck"]}
+    >>> vj.analyse(sweep, StableShare(), progress=False).share.item()
+    1.0
+    """
+
+    def sweep(self, source: Source) -> Sweep:
+        """Return the sweep of `source` with `orbits = true`; raise `InputError` if it cannot be analysed."""
+        return sweep_with_orbits(source)
+
+    def identity(self, sweep: Sweep) -> dict[str, object]:
+        """Return the settings on which the result depends in addition to the sweep, as flat JSON values."""
+        return {self.kind: True}
+
+    def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
+        """Return the result; `lanes`: dataset of the sweep with orbits."""
+        raise NotImplementedError(f"{type(self).__name__}.of_lanes")
+
+    def run(self, source: Source, progress: bool = True) -> xr.Dataset:
+        """Return the dataset of the analysis; unless `source` is a dataset with orbits, its sweep is run first."""
+        sweep = self.sweep(source)
+        return self.of_lanes(sweep, orbits(source if isinstance(source, xr.Dataset) else sweep, progress), progress)
 
 
 def answered(
