@@ -328,6 +328,10 @@ REFUSED = [
         {"history": {"time": np.arange(0.0, 1000.0, 2.0), "v1": np.zeros(500)}},
         'more than half a period of the bit (0.251 s); if it is in ms, write "time (ms)"',
     ),
+    (
+        {"history": {"time": np.arange(5) * 1e9, "v1": np.zeros(5)}},
+        "half a period of the bit (0.251 s); give more samples",
+    ),
     ({"history": {"data": {"time": [0.0, 1.0], "v1": [0.0] * 2}, "window": [3.0, 4.0]}}, "window: holds 0 samples"),
     (
         {"history": {"data": {"time": [0.0, 1.0]}, "columns": {"v1": "speed"}}},

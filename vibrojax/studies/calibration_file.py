@@ -253,14 +253,13 @@ def _read_history(
     speed = SPEED_BOUND * float(np.abs(velocity).max()) or 1.0
     point = read_point(place, file.scene, {**file.parameters, **own}, guess if table.start is None else table.start)
     if {"m1", "k1"} <= point.parameters.keys():
-        step, period = (
-            float(np.median(np.diff(time))),
-            2 * np.pi * np.sqrt(point.parameters["m1"] / point.parameters["k1"]),
-        )
+        step = float(np.median(np.diff(time)))
+        period = 2 * np.pi * np.sqrt(point.parameters["m1"] / point.parameters["k1"])
         if step > period / 2:
             fault = f"samples are {step:.3g} s apart, more than half a period of the bit ({period:.3g} s)"
-            unit = next(iter(likely_units(step, "s", (0.0, period / 2))))
-            raise home.at("time").error(f'{fault}; if it is in {unit}, write "time ({unit})"')
+            likely = likely_units(step, "s", (0.0, period / 2))
+            advice = next((f'if it is in {unit}, write "time ({unit})"' for unit in likely), "give more samples")
+            raise home.at("time").error(f"{fault}; {advice}")
     return History(
         point=point,
         begin=float(time[0]),

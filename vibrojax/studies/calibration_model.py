@@ -303,11 +303,9 @@ def starts(problem: Problem) -> list[tuple[Theta, int]]:
 def _check_unit(name: str, observed: np.ndarray, predicted: np.ndarray) -> None:
     """Raise `InputError` if another unit brings the observations of a variable into the range of the motions."""
     value, sizes = float(np.nanmedian(np.abs(observed))), np.abs(predicted[np.isfinite(predicted)])
-    if (
-        not sizes.size
-        or not 0 < sizes.min() <= sizes.max()
-        or sizes.min() / OTHER_UNIT <= value <= sizes.max() * OTHER_UNIT
-    ):
+    if name not in VARIABLES or not sizes.size or sizes.min() == 0:  # a measure of one's own has any unit
+        return
+    if sizes.min() / OTHER_UNIT <= value <= sizes.max() * OTHER_UNIT:
         return
     unit = VARIABLES[name].units
     if likely := [*likely_units(value, unit, (sizes.min() / 2, 2 * sizes.max()))]:
