@@ -170,7 +170,10 @@ class Branch:
         return why.replace("-", " ") if np.ravel(unfit)[0] else ""
 
     def _admits(self, x: Points) -> Bool[np.ndarray, " lanes"]:
-        return np.array([not self._refusal(row) for row in x], bool)
+        rows = [dict(zip(self.by, row, strict=True)) for row in x.tolist()]
+        inside = [not any(self._table[name].problem(y) for name, y in row.items()) for row in rows]
+        _, unfit = self.point.system.refused(self._parameters(x)) or ("", False)
+        return np.array(inside, bool) & ~np.broadcast_to(np.asarray(unfit, bool), len(x))
 
     def _reached(self, orbits: Orbits) -> Points:
         return np.stack([orbits.parameters[name] for name in self.by], axis=1)
