@@ -75,7 +75,7 @@ def test_trajectories_of_random_systems(seed):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(200, 206))
+@pytest.mark.parametrize("seed", range(200, 212))
 def test_more_trajectories_of_random_systems(seed):
     outcomes = verdicts(seed, range(5))
     assert {key: verdict for key, verdict in outcomes.items() if verdict.kind == "WRONG"} == {}

@@ -128,6 +128,7 @@ MISTAKES = {
     },
     "must depend on states, and not on t": {"section": lambda t, y, p: y["x"] - t},
     "a pair of a state and a number, or a function": {"section": 3.0},
+    "that is a kind of special points": {"events": [vj.Switch("fold", lambda t, y, p: y["x"])]},
     "either velocity=": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"])]},
 }
 

@@ -65,7 +65,7 @@ def step_by_scipy(after, slope=0.009):
 
 
 def test_long_gait_of_the_simplest_walker():
-    """Both multipliers have the modulus 0.589113. A state after a heel strike depends on two values: a third is zero."""
+    """Two multipliers have the modulus 0.589113. States after a heel strike depend on two values: the third is zero."""
     gait = fsolve(lambda after: step_by_scipy(after)[0] - after, [-0.2003, 0.1998], xtol=1e-12)
     _, speed, duration = step_by_scipy(gait)
 
