@@ -84,6 +84,7 @@ def test_numbers_continue_along_axes(attractors):
     assert not below & set(next(iter(numbers.values())))
 
 
+@pytest.mark.long
 def test_result_does_not_depend_on_direction_of_axes(attractors):
     grid = {name: x[::-1] for name, x in SWEEP["grid"].items()}
     other = vj.attractors(SWEEP | {"grid": grid}, progress=False)
@@ -97,12 +98,6 @@ def test_doubled_orbit_keeps_its_number(attractors):
     assert (int(before.cycles[0]), int(after.cycles[0])) == (2, 4)
     assert before.regime.values[0] == after.regime.values[0] == SUBHARMONIC
     assert int(before.attractor[0]) == int(after.attractor[0])
-    # Check by continuation of the first orbit: its period doubles between the two values.
-    start = {"start": "drive", "beta": 0.4, "delta": 0.005, "cycles": 2}
-    family = vj.follow("vibro-impact", along="gamma", at=0.35, span=(0.35, 0.3625), progress=False, **start)
-    kinds = family.special_kind.attrs["flag_meanings"].split()
-    doubled = family.special_kind.values == kinds.index("period-doubling")
-    assert ((family.special_value.values[doubled] > 0.35) & (family.special_value.values[doubled] < 0.3625)).any()
 
 
 def test_orbit_keeps_its_number_where_an_impact_passes_the_section():
@@ -155,12 +150,11 @@ def groups(dataset, starts=None):
 
 
 def test_irregular_lanes_are_grouped_by_statistics():
-    """A chain of lanes, each within a quarter of the next, is one motion. Lanes without impacts are another one."""
+    """A chain of lanes, each within a quarter of the next, is one motion. Lanes without impacts are another one.
+
+    Few lanes near many are unassigned: they may be the tail of the larger group's scatter.
+    """
     assert groups(irregular(impact_velocity=[1.0, 1.4, 1.2, 2.0, np.nan, 2.2, 2.1])) == [0, 0, 0, 1, 2, 1, 1]
-
-
-def test_few_irregular_lanes_near_many_are_unassigned():
-    """They may be the tail of the larger group's scatter. A lane far from all others is a separate motion."""
     assert groups(irregular(impact_velocity=[1.0, 1.1, 1.2, 2.0, 5.0])) == [0, 0, 0, -1, 1]
 
 
@@ -185,6 +179,7 @@ def test_unsuitable_sweep_is_refused(change, message):
         vj.attractors(tables, progress=False)
 
 
+@pytest.mark.long
 def test_plane_of_starts_marks_orbits():
     """The marks are where the orbits cross the section, according to the stored returns of another sweep."""
     plane = {"plane": {"x1": np.linspace(-0.1, 0.1, 6).tolist(), "x2": np.linspace(-0.15, 0.05, 6).tolist()}}

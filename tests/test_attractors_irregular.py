@@ -9,9 +9,7 @@ from vibrojax.measures.labels import IRREGULAR
 from vibrojax.studies.attractor_groups import (
     BATCHES,
     CONVERGED_STDERR,
-    FEWEST_WINDOWS,
     IRREGULAR_WITHIN,
-    MOST_WINDOWS,
     RESOLUTION_STDERRS,
     on_orbits,
     statistics,
@@ -103,8 +101,3 @@ def test_standard_errors_widen_resolution():
     error = {stderr_name("impact_velocity"): [0.7 * step / RESOLUTION_STDERRS] * 2}
     assert groups(irregular(impact_velocity=velocity, **error)) == [0, 0]
     assert groups(irregular(impact_velocity=[1.0, np.exp(2.5 * step)], **error)) == [0, 1]
-
-
-def test_documented_constants():
-    assert (FEWEST_WINDOWS, MOST_WINDOWS) == (8, 128)
-    assert IRREGULAR_WITHIN == 0.25

@@ -118,6 +118,7 @@ def test_default_map_matches_documented_values():
     assert 0.378 < beta[best & with_gap].min() < 0.384
 
 
+@pytest.mark.long
 def test_continued_borders_do_not_depend_on_the_grid():
     """Two grids without a common inner line give borders that cross lines of the plane at the same points."""
     crossings, origins = [], []
@@ -135,20 +136,6 @@ def test_continued_borders_do_not_depend_on_the_grid():
     assert [kind for kind, _ in crossings[0]] == [kind for kind, _ in crossings[1]] and crossings[0]
     np.testing.assert_allclose([x for _, x in crossings[0]], [x for _, x in crossings[1]], rtol=1e-8)
     assert "grid of 4 x 4" in origins[0] and "grid of 5 x 5" in origins[1]
-
-
-@pytest.mark.long
-def test_wedge_between_points_of_the_grid_is_closed():
-    """At beta = 0.4 the wedge between the torus of one orbit and the stick of another is 0.008 wide in gamma.
-
-    The grid's nearest point in the wedge is at beta = 0.46.
-    """
-    grid = {"beta": [0.34, 0.4, 0.46], "gamma": [0.55, 0.6, 0.65, 0.7]}
-    ds = vj.borders(SWEEP | {"parameters": {"delta": 0.005}, "grid": grid}, at={"beta": 0.4}, progress=False)
-    crossed = ds.crossing_curve.values
-    own = ds.start.values[crossed] == "any"
-    found = dict(zip(kinds(ds)[crossed[own]].tolist(), ds.crossing_gamma.values[own].tolist(), strict=True))
-    assert found == {"torus": pytest.approx(0.61473, abs=1e-5), "stick": pytest.approx(0.62294, abs=1e-5)}
 
 
 def test_circle():

@@ -1,6 +1,7 @@
 """Tests of orbits shared by the starts of a point: one lane yields the orbit, lanes within its reach end on it."""
 
 import numpy as np
+import pytest
 from test_end_early import steps_taken
 
 import vibrojax as vj
@@ -49,6 +50,7 @@ def test_result_does_not_depend_on_order_of_chunks():
             np.testing.assert_array_equal(chunk[name], repeated[name], err_msg=name)
 
 
+@pytest.mark.long
 def test_shares_stay_when_tolerance_is_halved():
     spec = sweep(256) | {"grid": {"gamma": [0.35, 0.55, 0.75]}}
     coarse, finer = (vj.attractors(spec | {"run": {"error": error}}, progress=False) for error in (1e-4, 5e-5))

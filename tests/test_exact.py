@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from exact import measure, run
 from exact.check import deviations, found_for
-from exact.measures import label, total
-from exact.parameters import parameters
+from exact.measures import label
 from exact.polynomials import COEFFICIENTS, X, falls
 
 import vibrojax as vj
@@ -70,50 +69,6 @@ def test_hard_cases(index):
     motion = run("vibro-impact", **case["point"], settle=30.0, observe=8.0)
     measured = measure(motion) | {"regime": label(motion, measure(motion))}
     assert max(deviations(case["expected"], measured).values()) < HARD_BOUND
-
-
-@pytest.mark.parametrize("scene", DRILLS)
-def test_energy_ledger(scene):
-    """F v = F u + c2 x2'^2 + J x2' + change of energy; on the rock J x3' = N x3' + c3 x3'^2 + change of energy."""
-    motion = run(scene, **DRILLS[scene], observe=1.0)
-    scene, p, row = motion.scene, motion.scene.p, motion.scene.row
-    J = scene.J if scene.contact else lambda phase: 0 * row["one"]
-
-    def energy_rate(part, t, Y):
-        F, v1, v2 = scene.friction_force(part.phase, Y), Y @ row["v1"], Y @ row["v2"]
-        return F * p.v - F * (v1 + p.v) - p.c2 * v2**2 - (Y @ J(part.phase)) * v2
-
-    def energy(y):
-        x1, v1, x2, v2 = y[:4]
-        return (p.m1 * v1**2 + p.m2 * v2**2 + p.k1 * x1**2 + p.k2 * (x1 - x2) ** 2) / 2
-
-    begin, end = motion.at([0.0, 1.0])
-    work = total(motion, 0.0, 1.0, lambda part, t, Y: np.abs(energy_rate(part, t, Y)))
-    change = total(motion, 0.0, 1.0, energy_rate)
-    np.testing.assert_allclose(change, energy(end) - energy(begin), atol=1e-11 * work)
-    if scene.rock:
-
-        def rock_energy_rate(part, t, Y):
-            v3 = Y @ row["v3"]
-            return v3 * (Y @ (J(part.phase) - scene.N(part.phase))) - p.c3 * v3**2
-
-        v3 = end @ row["v3"]
-        rock_work = total(motion, 0.0, 1.0, lambda part, t, Y: np.abs(rock_energy_rate(part, t, Y)))
-        np.testing.assert_allclose(total(motion, 0.0, 1.0, rock_energy_rate), p.m1 * v3**2 / 2, atol=1e-11 * rock_work)
-
-
-def test_coupled_drilling_on_rigid_rock_is_vibro_impact():
-    """On rock that neither yields nor deforms, the effect of the coupling falls as 1/k3."""
-    point = {"beta": 0.4, "gamma": 0.6, "observe": 0.5}
-    rigid = run("vibro-impact", **point)
-    times = np.linspace(0.01, 0.49, 40)
-    errors = []
-    for k3 in (1e11, 1e12):
-        on_rock = run("coupled-drilling", **point, k3=k3, threshold=1e12, zeta=1.0)
-        assert not np.any(on_rock.column("x4", times))
-        errors.append(np.abs(on_rock.column("x2", times) - rigid.column("x2", times)).max())
-    assert errors[0] < 1e-3
-    assert errors[1] < 0.4 * errors[0]  # c3 falls only with the root of k3
 
 
 def test_falls_finds_every_downward_crossing():
@@ -198,9 +153,3 @@ def test_sweep_of_coupled_drilling():
     assert label(motion, expected) == lane.regime.attrs["flag_meanings"].split()[int(lane.regime)]
     for name in ("period", "impact_velocity", "rate_of_penetration", "mean_force", "stick_fraction", "drive_power"):
         np.testing.assert_allclose(lane[name], expected[name], rtol=1e-7, atol=1e-9, err_msg=name)
-
-
-def test_defaults_follow_the_model():
-    """k2 = beta m1 (gamma w1)^2 and c3 = 2 zeta sqrt(m1 k3)."""
-    p = parameters("drilling")
-    np.testing.assert_allclose((p.k2, p.c3), (0.4 * 250 * (0.75 * 25) ** 2, 3 * np.sqrt(250 * 100.68e6)))

@@ -13,20 +13,6 @@ def van_der_pol(t, y, p):
     return {"x": y["v"], "v": p["mu"] * (1 - y["x"] * y["x"]) * y["v"] - y["x"]}
 
 
-def brusselator(t, y, p):
-    """Return the rates, where the states are relative to the equilibrium (A, B/A)."""
-    u, w = p["A"] + y["u"], p["B"] / p["A"] + y["w"]
-    return {"u": p["A"] + u * u * w - (p["B"] + 1) * u, "w": p["B"] * u - u * u * w}
-
-
-def planar(name, states, parameters, field, section):
-    return vj.System(name, states=dict.fromkeys(states, "1"), parameters=parameters, field=field, section=section)
-
-
-VAN_DER_POL = planar("van der Pol", ("x", "v"), {"mu": 0.4}, van_der_pol, "x")
-BRUSSELATOR = planar("Brusselator", ("u", "w"), {"A": 1.0, "B": 3.0}, brusselator, "u")
-
-
 def follow(system, **settings):
     return vj.follow(system, progress=False, **{"cycles": 1} | settings)
 
@@ -43,7 +29,10 @@ def test_family_passes_centre_of_large_amplitude():
 
     At mu = 0, the family crosses that of a centre, whose orbits have every amplitude and the period 2 pi.
     """
-    whole = follow(VAN_DER_POL, along="mu", at=0.4, span=(-0.4, 0.4), start=[1.0, 0.0])
+    system = vj.System(
+        "van der Pol", states={"x": "1", "v": "1"}, parameters={"mu": 0.4}, field=van_der_pol, section="x"
+    )
+    whole = follow(system, along="mu", at=0.4, span=(-0.4, 0.4), start=[1.0, 0.0])
     family = whole.isel(point=whole.branch.values == 0, special=whole.special_branch.values == 0)
     assert [kind for kind, _ in specials(family)] == ["end", "branch-point", "end"]
     np.testing.assert_allclose(family.special_value, [-0.4, 0.0, 0.4], atol=1e-9)
@@ -66,13 +55,3 @@ def test_small_forced_motion_goes_on():
     assert (first, last) == ("end", "end") and least == pytest.approx(1e-6)
     ratio = family.orbit_x.values / family.a.values
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
-
-
-@pytest.mark.long
-def test_hopf_points_of_a_system_without_events_are_continued():
-    """The Brusselator's Hopf points are at B = 1 + A²."""
-    family = follow(BRUSSELATOR, along="B", at=2.5, span=(1.5, 3.0), start=[0.3, 0.0], A=1.0)
-    curves = vj.curves(family, by="A", span=(0.8, 1.2), at={"A": 0.9}, progress=False)
-    np.testing.assert_allclose(curves.B, 1 + curves.A**2, atol=1e-9)
-    assert curves.A.values.min() == 0.8 and curves.A.values.max() == 1.2
-    assert curves.crossing_B.values == pytest.approx([1.81], abs=1e-10)

@@ -145,7 +145,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("given", ["without.toml", "without.nc", "with.nc"])
+@pytest.mark.parametrize("given", ["without.toml", "with.nc"])
 def test_command_gives_result_of_sweep(folder, given, capsys):
     out = folder / f"of-{given.replace('.', '-')}.nc"
     assert main(["orbits", str(folder / given), "-o", str(out)]) == 0

@@ -105,22 +105,6 @@ def test_derivatives_near_grazing_are_marked_invalid():
         assert near.reason[0].tolist() == [DERIVATIVE_REASONS.index(reason)] * 2
 
 
-def test_derivatives_of_grazing_margin_of_own_system():
-    """The margin is a ratio, so that no unit of length or of time changes it; central differences confirm its slope."""
-    p, h = {name: parameter.default for name, parameter in IMPACT_OSCILLATOR.parameters().items()}, 1e-5
-    rows = [p, p | {"w": p["w"] + h}, p | {"w": p["w"] - h}]
-    points = {name: [row[name] for row in rows] for name in p}
-    run = {"settle": 400.0, "observe": 100.0}
-    sweep = {"scene": IMPACT_OSCILLATOR, "points": points, "starts": [[0.0, 0.0]], "run": run}
-    ds = vj.sensitivity(sweep, by=list(p), progress=False).squeeze("start")
-    margin, up, down = ds.grazing_margin.values
-    slopes = {name: ds.d_grazing_margin.sel(parameter=name).values[0] * p[name] for name in p}
-    assert margin > 0.1 and abs(slopes["a"]) > 0.1
-    assert slopes["a"] + slopes["stop"] == pytest.approx(0.0, abs=1e-8)
-    assert slopes["w"] + slopes["damping"] + 2 * (slopes["stiffness"] + slopes["a"]) == pytest.approx(0.0, abs=1e-8)
-    assert slopes["w"] / p["w"] == pytest.approx((up - down) / (2 * h), rel=1e-6)
-
-
 def test_derivatives_with_rock_agree_with_central_differences_of_orbits():
     values, by = {"beta": 0.4, "gamma": 0.6, "zeta": 0.5, "threshold": 1e5}, ("beta", "threshold")
     scene = SCENES["drilling"]()
@@ -145,25 +129,6 @@ DRILL = {"beta": 0.4, "gamma": 0.75, "v": 1.5, "delta": 0.005, "start": "stuck"}
 
 def at_point(scene="vibro-impact", **given):
     return vj.sensitivity(scene, progress=False, **given)
-
-
-def test_point_agrees_with_central_differences_of_orbits():
-    names, step = ["period", "impact_velocity", "multiplier_abs"], 1e-4
-    s = at_point(of=names, by=BY, **DRILL)
-    assert not s["valid"].dims and s["valid"] == 1 and s["d_period"].dims == ("parameter",)
-    point = {name: x for name, x in DRILL.items() if name != "start"}
-    rows = [point | {name: point[name] * (1 + sign * step)} for name in BY for sign in (1, -1)]
-    points = {name: [row[name] for row in rows] for name in point}
-    sweep = {"scene": "vibro-impact", "points": points, "starts": ["stuck"], "run": {"error": 1e-6}}
-    orbits = vj.orbits(sweep, progress=False).squeeze("start")
-    for k, name in enumerate(BY):
-        up, down = orbits.isel(point=2 * k), orbits.isel(point=2 * k + 1)
-        for variable in names:
-            slope = (up[variable] - down[variable]).values / (2 * step * point[name])
-            derivative = s[f"d_{variable}"].sel(parameter=name).values
-            np.testing.assert_allclose(derivative, slope, rtol=1e-5, atol=1e-6, err_msg=f"{variable}, {name}")
-    elasticity = s.d_impact_velocity * [point[name] for name in BY] / s.impact_velocity
-    np.testing.assert_allclose(s.elasticity_impact_velocity, elasticity)
 
 
 def impact_speed(**point):
@@ -315,16 +280,6 @@ def test_values_outside_region_of_validity(f):
     assert np.isnan([unknown(BEYOND)[name] for name in OF]).all() and not unknown(BEYOND)["valid"]
     assert np.isnan(jax.grad(lambda x: unknown(x)["period"])(BEYOND)).all()
     assert jnp.isfinite(unknown(HERE)["period"])
-
-
-def test_orbit_continues_where_an_impact_passes_the_section():
-    """At a = 0.84 the state at the section jumps, and nothing else; the motion is that of a closed form."""
-    point = {"w": 0.9, "damping": 0.1, "stop": 1.0, "r": 0.7}
-    f = vj.as_jax(IMPACT_OSCILLATOR, of="impact_velocity", by="a", at=[1.0], **point)
-    for a in (0.8, 0.6):
-        assert f([a])["valid"] and f([a])["impact_velocity"] == pytest.approx(impact_speed(a=a, **point), rel=1e-8)
-        slope = (impact_speed(a=a + 1e-6, **point) - impact_speed(a=a - 1e-6, **point)) / 2e-6
-        assert jax.grad(lambda x: f(x)["impact_velocity"])(jnp.array([a])) == pytest.approx(slope, rel=1e-6)
 
 
 def test_optimizers_converge(f):

@@ -316,17 +316,6 @@ def test_booleans_are_ordered():
     assert_matches_xla(function, X, Y)
 
 
-def test_polynomial_and_its_derivative():
-    """Forward mode passes through loops: d/dx of x^12 by repeated multiplication."""
-
-    def function(x):
-        return jax.jvp(lambda x: lax.fori_loop(0, 11, lambda k, y: y * x, x), (x,), (jnp.ones_like(x),))
-
-    value, slope = run_kernel(function, X)
-    np.testing.assert_allclose(value, X**12, rtol=1e-14)
-    np.testing.assert_allclose(slope, 12 * X**11, rtol=1e-14)
-
-
 def test_tangents_of_integers():
     """They have no content, and must not occupy memory of other values."""
 

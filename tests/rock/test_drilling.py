@@ -68,22 +68,3 @@ def test_quantities_are_consistent(sweeps, scene):
     np.testing.assert_allclose(d.rate_of_penetration.values[periodic], rate[periodic], rtol=1e-12)
     assert np.all(d.rate_of_penetration >= 0)
     assert np.all(d.rate_of_penetration <= d.mean_force / (2 * 1.5 * np.sqrt(250 * 100.68e6)))  # mean N >= 0
-
-
-def test_no_hole_grows_below_threshold(sweeps):
-    """zeta = 1.5 does not overshoot, so N <= max J: no growth where max J is below D, but some growth elsewhere."""
-    drilling = sweeps["drilling"]
-    weak = (drilling.peak_impact_force < SANDSTONE).values
-    rate = drilling.rate_of_penetration.values
-    assert weak.any()
-    assert np.all(rate[weak] == 0)
-    assert np.all(drilling.slip_per_impact.values[weak] == 0)
-    assert (rate > 0).sum() >= 3
-
-
-def test_feedback_reduces_rate(sweeps):
-    """The rock yields under the contact, so blows are softer, and ROP is lower wherever the bit penetrates."""
-    one_way, coupled = sweeps["drilling"], sweeps["coupled-drilling"]
-    bores = (one_way.rate_of_penetration > 0).values
-    assert np.all(coupled.rate_of_penetration.values[bores] < 0.7 * one_way.rate_of_penetration.values[bores])
-    assert np.all(coupled.peak_impact_force.values[bores] < one_way.peak_impact_force.values[bores])

@@ -14,7 +14,7 @@ from vibrojax.measures.recorder import Effort, run_block
 from vibrojax.physics.parameters import positive, table
 from vibrojax.scenes import Marker, Section, State, Swing
 from vibrojax.scenes.vibro_impact import VibroImpact
-from vibrojax.stepping import AccuracyRequest, Located, Smoothed
+from vibrojax.stepping import AccuracyRequest, Located
 
 STRING = table(
     positive("m0", 500.0, "kg", "mass of the string", "m₀"),
@@ -102,9 +102,3 @@ def test_stiff_string_has_no_effect(stiff_string):
 
 def test_own_amplitude(stiff_string):
     assert 0 < stiff_string["string_amplitude"][0] < 4e-3 * stiff_string["bit_amplitude"][0]
-
-
-@pytest.mark.long
-def test_smoothed_stepper():
-    features = run(DrillWithString(), Smoothed(), 0.03, m0=500.0, k4=4e6, delta=0.005)
-    assert bool(features["finite"][0]) and bool(features["finished"][0])
