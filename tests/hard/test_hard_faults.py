@@ -123,7 +123,6 @@ def test_full_disk(folder, whole, monkeypatch):
         status, errors = run_sweep(folder)
     advice = "finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
     assert status == 1 and one_line(errors).endswith(f".zip: No space left on device; {advice}")
-    kept = chunks(folder)
     assert kept
     with limited_files(8000):  # the chunks are smaller, the dataset is larger
         status, errors = run_sweep(folder)
@@ -184,10 +183,11 @@ def test_two_processes_on_one_output(folder, whole):
     [
         (signal.SIGINT, 130, "interrupted; "),
         pytest.param(signal.SIGTERM, 143, "terminated; ", marks=pytest.mark.long),
+        (signal.SIGKILL, -9, ""),
     ],
 )
 def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
-    """Ctrl-C and SIGTERM are answered with how to continue, which works.
+    """Ctrl-C and SIGTERM are answered with how to continue, which works; after SIGKILL too, finished chunks are used.
 
     The limit is a second or, if other work slows the machine, twice the time of importing jax there.
     """
@@ -197,7 +197,9 @@ def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
     process.send_signal(sent)
     ended, errors = end_of(process)
     took = time.monotonic() - began
-    assert ended == status and word in one_line(errors) and "to go on: vibrojax sweep map.toml" in errors
+    assert ended == status
+    if word:
+        assert word in one_line(errors) and "to go on: vibrojax sweep map.toml" in errors
     if took >= 1.0:
         began = time.monotonic()
         subprocess.run([sys.executable, "-c", "import jax"], check=True)

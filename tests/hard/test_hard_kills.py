@@ -4,7 +4,8 @@ import pytest
 from kills import Kills
 
 
-@pytest.mark.parametrize("backend", ["alone", pytest.param("pool", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("backend", ["alone", "pool"])
 def test_kills(tmp_path, backend):
     kills = Kills(tmp_path)
     assert kills.run_once(1, backend) >= 1

@@ -58,19 +58,6 @@ def test_without_folder(monkeypatch, tmp_path, folder):
     assert (cache.folder() is None) == (folder == "off")
 
 
-def test_permissions(monkeypatch, tmp_path):
-    """New files and folders are private to the user, whatever the umask."""
-    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path / "cache"))
-    before = os.umask(0)
-    try:
-        use()
-    finally:
-        os.umask(before)
-    [file] = cached_files()
-    modes = [stat.S_IMODE(path.stat().st_mode) for path in (file, file.parent, file.parent.parent)]
-    assert modes == [0o600, 0o700, 0o700]
-
-
 @pytest.mark.parametrize(
     "parents, mode, unsafe", [(0, 0o720, True), (0, 0o1777, True), (1, 0o777, True), (1, 0o1777, False)]
 )

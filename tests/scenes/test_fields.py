@@ -80,63 +80,9 @@ def test_smoothed_field_converges_to_sliding_field(slip, touching):
         np.testing.assert_allclose(component, expected, rtol=1e-7, atol=1e-6)
 
 
-def stick_limit(impact=0.0):
-    """Return f_st + mu J (5.11, R2)."""
-    return 0.4 * (DRILL["m1"] * DRILL["g"] + impact)
-
-
-def spring_force(x1, x2):
-    return -DRILL["k1"] * x1 - K2 * (x1 - x2)
-
-
-def x1_for_pull(force, x2):
-    """Return x1 at which the springs pull with `force` [N]."""
-    return (K2 * x2 - force) / (DRILL["k1"] + K2)
-
-
-@pytest.mark.parametrize("slip", [1, -1, 0])
-@pytest.mark.parametrize("touching", [1, 0])
-def test_surfaces(slip, touching):
-    """The friction surface is |u|, or the force left to the stick limit over sqrt(k1 m1). The contact surface is J/k0
-    in contact, and the greater of the gap and -J/k0 in flight.
-    """
-    scene = VibroImpact()
-    state = states(slip, seed=5)
-    x1, v1, x2, v2 = state
-    over_k0 = x2 - CONTACT["delta"] + CONTACT["c0"] / CONTACT["k0"] * v2
-    impact = touching * CONTACT["k0"] * over_k0
-    reserve = (stick_limit(impact) - np.abs(spring_force(x1, x2))) / np.sqrt(DRILL["k1"] * DRILL["m1"])
-    friction, contact = scene.guard_values(constants(scene), arrays(slip, touching), arrays(*state))
-    np.testing.assert_allclose(friction, np.abs(v1 + DRILL["v"]) if slip else reserve, rtol=1e-11, atol=1e-10)
-    apart = np.maximum(CONTACT["delta"] - x2, -over_k0)
-    np.testing.assert_allclose(contact, over_k0 if touching else apart, rtol=1e-11, atol=1e-15)
-    np.testing.assert_array_equal(scene.marker_values(arrays(*state)), [v1, v2])  # the turns
-    if not touching:
-        rotary = Rotary()
-        alone = rotary.guard_values(constants(rotary), arrays(slip), arrays(*state))
-        np.testing.assert_allclose(alone, friction[None], rtol=1e-11, atol=1e-10)
-
-
 def mode_at(scene, *state, **values):
     p = constants(scene, **values)
     return tuple(float(flag) for flag in scene.mode_at(p, tuple(jnp.asarray(float(value)) for value in state)))
-
-
-@pytest.mark.parametrize(("force", "slip"), [(0, 0), (0.99, 0), (-0.99, 0), (1.01, 1), (-1.01, -1), (5, 1), (-5, -1)])
-def test_rotary_mode_at_rest(force, slip):
-    """5.11: at u = 0 the bit sticks up to f_st = mu m1 g. Beyond it, the bit moves in the direction of the pull."""
-    assert mode_at(Rotary(), x1_for_pull(force * stick_limit(), 0.02), -DRILL["v"], 0.02, 0.3) == (slip,)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_impact_raises_stick_limit(sign):
-    """R2: only while J acts, a pull between f_st and f_st + mu J is held."""
-    x2 = CONTACT["delta"] + 1e-4  # J = 4000 N at x2' = 0
-    for share, slip in ((0.9, 0), (1.1, sign)):
-        state = x1_for_pull(sign * share * stick_limit(4e3), x2), -DRILL["v"], x2, 0.0
-        assert mode_at(VibroImpact(), *state) == (slip, 1)
-    x2 = CONTACT["delta"] - 1e-4
-    assert mode_at(VibroImpact(), x1_for_pull(sign * 0.9 * stick_limit(4e3), x2), -DRILL["v"], x2, 0.0) == (sign, 0)
 
 
 @pytest.mark.parametrize(
@@ -176,35 +122,3 @@ def test_starts():
     np.testing.assert_allclose(
         scene.contact_force(p, (1.0, 1.0), scene.start(p, "drive", ())), 4e7 * 0.005
     )  # k0 |delta|
-
-
-def land(scene, mode, state, *hits):
-    p = constants(scene)
-    state = tuple(jnp.asarray(float(value)) for value in state)
-    by_name = dict(zip(scene.event_names, map(jnp.asarray, hits), strict=True))
-    mode, state = scene.after_event(p, tuple(map(jnp.asarray, mode)), state, by_name)
-    return tuple(map(float, mode)), tuple(map(float, state))
-
-
-@pytest.mark.parametrize(("slip", "share", "after"), [(1, 0.5, 0), (1, -2, -1), (-1, -0.5, 0), (-1, 2, 1), (1, 2, 1)])
-def test_landing_at_zero_sliding_speed(slip, share, after):
-    """u is exactly 0. Then 5.11 decides between stick and slip in the direction of the pull."""
-    x1 = x1_for_pull(share * stick_limit(), 0.02)
-    for scene, rest in ((Rotary(), ()), (VibroImpact(), (0.0,))):
-        hits = (True, *(False for _ in rest), False, False)
-        mode, state = land(scene, (float(slip), *rest), (x1, -DRILL["v"] + 1e-12, 0.02, 0.3), *hits)
-        assert mode == (after, *rest)
-        assert state == (x1, -DRILL["v"], 0.02, 0.3)
-
-
-def test_landings_on_contact():
-    """x2 = delta exactly where an impact begins, J = 0 where it ends. Renewed contact leaves x2 unchanged."""
-    delta, relaxation = CONTACT["delta"], CONTACT["c0"] / CONTACT["k0"]
-    contact = (False, True, False, False)
-    begins = land(VibroImpact(), (1.0, 0.0), (0.01, 0.2, delta + 1e-16, 0.7), *contact)
-    assert begins == ((1, 1), (0.01, 0.2, delta, 0.7))
-    mode, state = land(VibroImpact(), (1.0, 1.0), (0.01, 0.2, delta + 0.7 * relaxation + 1e-12, -0.7), *contact)
-    assert mode == (1, 0)
-    np.testing.assert_allclose(state, (0.01, 0.2, delta + 0.7 * relaxation, -0.7), rtol=1e-15)
-    caught = 0.01, 0.2, delta + 0.5 * relaxation, -0.5
-    assert land(VibroImpact(), (1.0, 0.0), caught, *contact) == ((1, 1), caught)
