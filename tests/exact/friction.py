@@ -18,8 +18,8 @@ def coulomb(w, p):
 
 def popp_exponential(w, p):
     """Return (2.14), with the exponent of the second factor read as that of the first; flat at w = 0."""
-    w = np.asarray(w, float)
-    rise = np.exp(p.popp_c1 / np.where(w > 0, w, 1)) * (w > 0)
+    w = np.asarray(w)
+    rise = np.exp(p.popp_c1 / np.where(w.real > 0, w, 1)) * (w.real > 0)
     return 0.165 * (1 + rise) * (1 + np.exp(p.popp_c2 * w))
 
 

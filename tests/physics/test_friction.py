@@ -1,9 +1,12 @@
-"""Test friction laws against model.md, section 3, transcribed here in plain numpy."""
+"""Test friction laws against those of the exact reference, which are plain numpy (eqs. 2.13 to 2.17 and 5.9)."""
+
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from exact.friction import LAWS
 
 from vibrojax.physics.friction import FRICTION_LAWS
 
@@ -23,21 +26,6 @@ PARAMETERS = {
 }
 CASES = [pytest.param(name, p, id=f"{name}-{i}") for name, both in PARAMETERS.items() for i, p in enumerate(both)]
 
-MU = {
-    # 2.13: mu
-    "coulomb": lambda u, p: p["mu"] + 0 * u,
-    # 2.14: 0.165 (1 + exp(c1/|u|)) (1 + exp(c2 |u|)), second exponent corrected
-    "popp-exponential": lambda u, p: 0.165 * (1 + np.exp(p["popp_c1"] / u)) * (1 + np.exp(p["popp_c2"] * u)),
-    # 2.15: a1 (1 + a2 exp(-b1 |u|)) atan(b2 |u|)
-    "popp-arctan": lambda u, p: p["a1"] * (1 + p["a2"] * np.exp(-p["b1"] * u)) * np.arctan(p["b2"] * u),
-    # 2.16: mu0/(1 + delta_f |u|)
-    "hyperbolic": lambda u, p: p["mu0"] / (1 + p["delta_f"] * u),
-    # 2.17: (mu0 - mu1)/(1 + lambda |u|) + mu1 + alpha u²
-    "hyperbolic-quadratic": lambda u, p: (p["mu0"] - p["mu1"]) / (1 + p["lambda"] * u) + p["mu1"] + p["alpha"] * u**2,
-    # 5.9: mu (1 - |u|/v_cr + |u|³/(3 v_cr³))
-    "stribeck": lambda u, p: p["mu"] * (1 - u / p["v_cr"] + u**3 / (3 * p["v_cr"] ** 3)),
-}
-
 # mu(0+) and its one-sided slope there.
 AT_REST = {
     "coulomb": lambda p: (p["mu"], 0.0),
@@ -49,28 +37,24 @@ AT_REST = {
 }
 
 
-def test_registry_contains_six_laws_of_source():
-    assert set(FRICTION_LAWS) == set(MU)
-    references = {name: law.reference for name, law in FRICTION_LAWS.items()}
-    assert references == {
-        "coulomb": "eq. 2.13",
-        "popp-exponential": "eq. 2.14",
-        "popp-arctan": "eq. 2.15",
-        "hyperbolic": "eq. 2.16",
-        "hyperbolic-quadratic": "eq. 2.17",
-        "stribeck": "eq. 5.9",
+def mu(name, u, p):
+    """Return the coefficient of the exact reference."""
+    return LAWS[name](u, SimpleNamespace(**p))
+
+
+def test_laws_and_defaults_of_the_source():
+    equations = {f"eq. {number}" for number in (2.13, 2.14, 2.15, 2.16, 2.17, 5.9)}
+    assert {law.reference for law in FRICTION_LAWS.values()} == equations
+        f"eq. {n}" for n in (2.13, 2.14, 2.15, 2.16, 2.17, 5.9)
     }
-
-
-@pytest.mark.parametrize("name", MU)
-def test_defaults_agree_with_section_3(name):
-    assert {key: parameter.default for key, parameter in FRICTION_LAWS[name].parameters.items()} == PARAMETERS[name][0]
+    defaults = {name: {key: q.default for key, q in law.parameters.items()} for name, law in FRICTION_LAWS.items()}
+    assert defaults == {name: both[0] for name, both in PARAMETERS.items()}
 
 
 @pytest.mark.parametrize(("name", "p"), CASES)
 def test_only_eq_5_9_has_constant_friction_under_impact(name, p):
     """Section 3: F = sgn(u) mu(u) (m1 g + J), but 5.9 uses the constant mu of eq. 5.12 for J."""
-    expected = p["mu"] + 0 * SPEEDS if name == "stribeck" else MU[name](SPEEDS, p)
+    expected = p["mu"] + 0 * SPEEDS if name == "stribeck" else mu(name, SPEEDS, p)
     values = [FRICTION_LAWS[name].on_impact(jnp.asarray(u), p) for u in SPEEDS]
     np.testing.assert_allclose(values, expected, rtol=1e-14)
 
@@ -84,12 +68,13 @@ def test_limit_at_rest(name, p, rest):
 
 
 @pytest.mark.parametrize(("name", "p"), CASES)
-def test_slopes(name, p):
-    """Compare with derivatives of `MU` by imaginary steps, which are exact to rounding."""
+def test_values_and_slopes(name, p):
+    """Compare slopes with derivatives of the reference by imaginary steps, which are exact to rounding."""
     law, h = FRICTION_LAWS[name], 1e-30j
-    slopes = jax.grad(lambda u, p: jnp.asarray(law.on_weight(u, p)), argnums=(0, 1))
+    both = jax.value_and_grad(lambda u, p: jnp.asarray(law.on_weight(u, p)), argnums=(0, 1))
     for u in map(float, SPEEDS):
-        along_speed, along_p = slopes(u, p)
-        expected = {key: MU[name](u, p | {key: value + h}).imag / h.imag for key, value in p.items()}
-        np.testing.assert_allclose(along_speed, MU[name](u + h, p).imag / h.imag, rtol=1e-12, atol=1e-14)
+        value, (along_speed, along_p) = both(u, p)
+        assert value == pytest.approx(float(mu(name, u, p)), rel=1e-14)
+        expected = {key: mu(name, u, p | {key: x + h}).imag / h.imag for key, x in p.items()}
+        np.testing.assert_allclose(along_speed, mu(name, u + h, p).imag / h.imag, rtol=1e-12, atol=1e-14)
         np.testing.assert_allclose([along_p[key] for key in p], [*expected.values()], rtol=1e-12, atol=1e-14)

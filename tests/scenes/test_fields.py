@@ -1,8 +1,11 @@
-"""Test fields, surfaces, modes and landings of the drill's scenes against model.md, section 1, in plain numpy."""
+"""Test fields, contact and starts of the drill's scenes against model.md, section 1, in plain numpy."""
+
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from exact.friction import LAWS
 
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.scenes import SCENES
@@ -12,14 +15,6 @@ LANES = 40
 DRILL = {"m1": 230.0, "beta": 0.35, "gamma": 0.8, "k1": 2e5, "c2": 300.0, "g": 9.81, "v": 1.4}
 CONTACT = {"k0": 4e7, "c0": 2e4, "delta": -0.004}
 K2 = DRILL["beta"] * DRILL["k1"] * DRILL["gamma"] ** 2  # beta m1 (gamma w1)², w1² = k1/m1
-LAWS = {  # mu(|u|) of section 3, at its defaults
-    "stribeck": lambda u: 0.4 * (1 - u / 3 + u**3 / 81),
-    "coulomb": lambda u: 0.4 + 0 * u,
-    "popp-exponential": lambda u: 0.165 * (1 + np.exp(-0.02 / u)) * (1 + np.exp(-0.25 * u)),
-    "popp-arctan": lambda u: 0.14 * (1 + 1.14 * np.exp(-2 * u)) * np.arctan(100 * u),
-    "hyperbolic": lambda u: 0.4 / (1 + u),
-    "hyperbolic-quadratic": lambda u: 0.3 / (1 + 99.4 * u) + 0.1 + 0.7 * u**2,
-}
 
 
 def constants(scene, **values):
@@ -48,7 +43,7 @@ def reference(law, slip, touching, state):
     if slip == 0:
         bit = np.zeros_like(x1)  # 5.11: friction and impact balance the springs
     else:
-        mu = LAWS[law](u)
+        mu = LAWS[law](u, SimpleNamespace(**{n: q.default for n, q in FRICTION_LAWS[law].parameters.items()}))
         on_impact = 0.4 if law == "stribeck" else mu
         bit = (-k1 * x1 - K2 * (x1 - x2) - slip * (mu * m1 * DRILL["g"] + on_impact * impact)) / m1  # 5.9, 5.12, R2
     return v1, bit, v2, (-c2 * v2 - K2 * (x2 - x1) - impact) / m2
