@@ -1,8 +1,6 @@
 """Test designs against finer maps, repeated simulations and slopes; also the command, refusals and mutated designs."""
 
 import json
-import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -128,37 +126,21 @@ def test_bundled_designs_are_as_good_as_by_other_searches(name, least):
     assert best.feasible == 1 and float(best.objective) >= least
 
 
-@pytest.mark.long
-def test_robust_energy():
-    """A robust design trades nominal energy for the worst case."""
-    tables = tomllib.loads((Path(__file__).parents[1] / "sweeps/designs/energy.toml").read_text())
-    best = [vj.design(tables | {"robust": robust}, progress=False).isel(candidate=0) for robust in (False, True)]
-    found = [float(x) for design in best for x in (design.objective, design.objective_worst)]
-    np.testing.assert_allclose(found, [713, 430, 694, 671], rtol=2e-3)
-
-
 NARROW = {"vary": {"gamma": [0.7, 0.72]}, "tolerance": {}, "front": None}
 
 
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        pytest.param(
-            NARROW | {"subject": {"peak_impact_force": {"most": 1e3}}},
-            "most 1000 N cannot be met; nearest: 16",
-            marks=pytest.mark.long,
-        ),
         (
             NARROW | {"subject": {"regime": "impact-free"}},
             "impact-free from every start cannot be met; nearest: 0 of 1 lane at gamma = 0.7 (single-impact)",
         ),
         ({"subject": {"period": {"least": 2.0, "most": 1.0}}}, "contradictory: least 2 is above most 1"),
-        ({"subject": {"perod": {"most": 1.0}}}, 'did you mean "period"?'),
         ({"maximise": "power"}, "did you mean impact_power or drive_power?"),
         ({"maximise": "rate_of_penetration"}, "scenes with one: coupled-drilling, drilling, penetration"),
         ({"tolerance": {"gamma": 0.8}}, "tolerance.gamma: 0.8 is too wide"),
         ({"vary": {"bit_frequency": [6.8, 7.4]}, "tolerance": {"k1": 1.0}}, "k1: follows from other"),
-        ({"front": {"against": "tolerance", "from": 1.0}}, "front: from and to belong together"),
         ({"front": {"against": "tolerance", "from": 1.0, "to": 1.0}}, "front.from: 1 to 1 is no interval"),
         ({"front": {"against": "impact_power"}}, "is what is maximised"),
         ({"robust": True, "tolerance": {}}, "design: robust: there is no [tolerance] to be robust to"),

@@ -1,4 +1,4 @@
-"""Test the smallest push out of the working cycle: it leaves, the next smaller one returns, and a fine scan agrees."""
+"""Test the smallest push out of the working cycle: it leaves, and all smaller ones of a fine scan return."""
 
 import numpy as np
 import pytest
@@ -44,14 +44,15 @@ def test_variables_and_brackets(strong_cycle):
         assert (bracket > 0).all() and (bracket <= 1e-3 * push).all()
 
 
-def test_smallest_push_leaves_and_next_smaller_returns(strong_cycle):
-    """Only a push of the bit against the drive leaves the cycle, as full runs three times as long confirm."""
+def test_fine_scan_finds_no_smaller_push(strong_cycle):
+    """Only a push of the bit against the drive leaves the cycle. Full runs three times as long return below it."""
     has_push = {name: np.isfinite(strong_cycle[f"push_{name}"].values).tolist() for name in STATES}
     assert has_push == {"x1": [False, True], "v1": [False] * 2, "x2": [False] * 2, "v2": [False] * 2}
     push, bracket = float(strong_cycle.push_x1[1]), float(strong_cycle.bracket_x1[1])
     assert int(strong_cycle.regime_x1[1]) == IRREGULAR
-    velocity = run_after_pushes(strong_cycle, "x1", [0.0, push - bracket, push], gamma=0.75).impact_velocity.values
-    assert velocity[1] == pytest.approx(velocity[0], rel=1e-6) and velocity[2] < 0.3 * velocity[0]
+    pushes = [*np.linspace(0.0, push - bracket, 96), push]
+    velocity = run_after_pushes(strong_cycle, "x1", pushes, gamma=0.75).impact_velocity.values
+    assert velocity[:-1] == pytest.approx(velocity[0], rel=1e-6) and velocity[-1] < 0.3 * velocity[0]
 
 
 def test_page_shows_motions_on_cycle_and_after_push(strong_cycle):
@@ -68,15 +69,6 @@ def test_page_shows_motions_on_cycle_and_after_push(strong_cycle):
     assert after_push.kind == "motion"
     bars = contents.document["figure"]["plots"][0]
     assert bars["x"]["direction"] == "sign" and bars["at"] == {"motion": 1}
-
-
-def test_fine_scan_finds_no_smaller_push(strong_cycle):
-    """A fine scan along the direction, with every lane run to its end, returns from all smaller pushes."""
-    push = float(strong_cycle.push_x1[1])
-    fine = np.linspace(0.0, 1.1 * push, 221)
-    velocity = run_after_pushes(strong_cycle, "x1", fine, gamma=0.75).impact_velocity.values
-    leaves = np.abs(velocity / velocity[0] - 1) > 0.01
-    assert leaves.any() and push - float(strong_cycle.bracket_x1[1]) <= fine[leaves][0] <= push + np.diff(fine)[0]
 
 
 @pytest.mark.parametrize(
@@ -111,8 +103,3 @@ def test_push_command(strong_cycle, tmp_path, capsys, monkeypatch):
     stored = vj.open_dataset(tmp_path / "vibro-impact-push.nc")
     np.testing.assert_array_equal(stored.push_x1, strong_cycle.push_x1)
     assert Pushes().summary(stored) == Pushes().summary(strong_cycle)
-    assert main(["info", "vibro-impact-push.nc"]) == 0
-    capsys.readouterr()
-    other = ["push", "vibro-impact", *words[:-1], "scan=16"]
-    assert main([*other, "-o", "vibro-impact-push.nc"]) == 2  # the file there holds another result
-    assert "--fresh" in capsys.readouterr().err

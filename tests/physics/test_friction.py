@@ -45,8 +45,6 @@ def mu(name, u, p):
 def test_laws_and_defaults_of_the_source():
     equations = {f"eq. {number}" for number in (2.13, 2.14, 2.15, 2.16, 2.17, 5.9)}
     assert {law.reference for law in FRICTION_LAWS.values()} == equations
-        f"eq. {n}" for n in (2.13, 2.14, 2.15, 2.16, 2.17, 5.9)
-    }
     defaults = {name: {key: q.default for key, q in law.parameters.items()} for name, law in FRICTION_LAWS.items()}
     assert defaults == {name: both[0] for name, both in PARAMETERS.items()}
 

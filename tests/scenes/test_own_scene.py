@@ -3,18 +3,13 @@
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
-from vibrojax.compile.native import Kernel
-from vibrojax.measures import recorder_for
-from vibrojax.measures.recorder import Effort, run_block
+import vibrojax as vj
 from vibrojax.physics.parameters import positive, table
 from vibrojax.scenes import Marker, Section, State, Swing
 from vibrojax.scenes.vibro_impact import VibroImpact
-from vibrojax.stepping import AccuracyRequest, Located
 
 STRING = table(
     positive("m0", 500.0, "kg", "mass of the string", "m₀"),
@@ -67,38 +62,18 @@ class DrillWithString(VibroImpact):
         return super().flight_rate(c) + jnp.sqrt((c.drill.k1 + c.k4) / c.m0) + c.c4 / c.m0
 
 
-def run(scene, stepper, error=1e-4, **values):
-    defaults = {name: parameter.default for name, parameter in scene.parameters().items()}
-    c = scene.constants({name: jnp.full(1, value) for name, value in (defaults | values).items()})
-    accuracy = stepper.accuracy(AccuracyRequest(error=error), scene)
-    state = scene.start(c, "stuck", (1,))
-    arguments = (c, state, jax.tree.map(np.float64, accuracy))
+def test_stiff_string_has_no_effect():
+    """The string is so stiff that its mass moves with the drive; the motion is that of the vibro-impact scene.
 
-    def block(c, state, accuracy):
-        return run_block(scene, stepper, recorder_for(scene), c, state, Effort(accuracy, 1e6), 20.0, 4.0)
-
-    return Kernel(block, *arguments)(*arguments)  # as in sweeps; XLA takes five times as long to compile it
-
-
-VALUES = {"k4": 1e8, "m0": 100.0, "delta": 0.005}
-"""Values with a string so stiff that its mass moves with the drive."""
-
-
-@pytest.fixture(scope="module")
-def stiff_string():
-    return run(DrillWithString(), Located(), **VALUES)
-
-
-@pytest.mark.long
-def test_stiff_string_has_no_effect(stiff_string):
-    """With k4 >> k1 the motion agrees with the vibro-impact scene. k1 and k4 in series are softer than k1 by 1.6e-3."""
-    scene = VibroImpact()
-    plain = run(scene, Located(), delta=0.005)
-    for name in ("cycles", "impacts", "returns"):
-        assert stiff_string[name] == plain[name], name
+    k1 and k4 in series are softer than k1 by 1.6e-3.
+    """
+    stiff = {"k4": [1e8], "m0": [100.0], "delta": [0.005]}
+    run = {"settle": 20.0, "observe": 4.0}
+    own, plain = (
+        vj.run_sweep({"scene": scene, "points": points, "starts": ["stuck"], "run": run}, progress=False).squeeze()
+        for scene, points in ((DrillWithString(), stiff), (VibroImpact(), {"delta": [0.005]}))
+    )
+    assert (own.cycles, own.impacts) == (plain.cycles, plain.impacts)
     for name in ("period", "bit_amplitude", "striker_amplitude"):
-        np.testing.assert_allclose(stiff_string[name], plain[name], rtol=1e-2, err_msg=name)
-
-
-def test_own_amplitude(stiff_string):
-    assert 0 < stiff_string["string_amplitude"][0] < 4e-3 * stiff_string["bit_amplitude"][0]
+        assert float(own[name]) == pytest.approx(float(plain[name]), rel=1e-2), name
+    assert 0 < own.string_amplitude < 4e-3 * own.bit_amplitude
