@@ -111,7 +111,7 @@ def test_interrupt_is_raised_as_such(monkeypatch):
     np.testing.assert_array_equal(call(x), expected)
 
 
-@pytest.mark.parametrize("setting", [jax.debug_nans, jax.disable_jit])
+@pytest.mark.parametrize("setting", [pytest.param(jax.debug_nans, marks=pytest.mark.long), jax.disable_jit])
 def test_settings_for_debugging_change_no_result(f, setting):
     def results():
         motion = vj.simulate("vibro-impact", start="stuck", duration=0.3, progress=False)
@@ -144,7 +144,6 @@ def test_arrays_on_a_mesh(f):
 
 NUMBERS = {
     "duration": lambda x: vj.simulate("vibro-impact", duration=x),
-    "sweep": lambda x: vj.read_sweep({"scene": "vibro-impact", "grid": {"beta": [x]}}),
     "data": lambda x: vj.calibrate({"scene": "vibro-impact", "data": {"period": [x]}, "unknown": {"mu": [0.2, 0.6]}}),
     "reason": lambda x: _function().reason(x * HERE),
 }

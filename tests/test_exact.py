@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from exact import measure, run
-from exact.measures import label
 from exact.polynomials import COEFFICIENTS, X, falls
 
 import vibrojax as vj
@@ -115,7 +114,7 @@ def test_contact_closes_again_when_rock_yields():
 
 
 def test_sweep_of_coupled_drilling():
-    """A settled drilling lane has the label of the reference, and its measures to 1e-7."""
+    """A settled drilling lane has the counts of the reference, and its measures to 1e-7."""
     run_for = {"settle": 10.0, "observe": 6.0}
     sweep = {
         "scene": "coupled-drilling",
@@ -126,6 +125,6 @@ def test_sweep_of_coupled_drilling():
     lane = vj.run_sweep(sweep | {"run": run_for}, progress=False).squeeze()
     motion = run("coupled-drilling", gamma=0.6, zeta=0.5, **run_for)
     expected = measure(motion)
-    assert label(motion, expected) == lane.regime.attrs["flag_meanings"].split()[int(lane.regime)]
+    assert (expected["cycles"], expected["impacts"]) == (lane.cycles, lane.impacts)
     for name in ("period", "impact_velocity", "rate_of_penetration", "mean_force", "stick_fraction", "drive_power"):
         np.testing.assert_allclose(lane[name], expected[name], rtol=1e-7, atol=1e-9, err_msg=name)

@@ -8,12 +8,12 @@ certification.
     motion = exact.run("vibro-impact", beta=0.4, gamma=0.75, start="stuck", settle=40.0, observe=8.0)
     exact.measure(motion)["period"]
 
-Equations and readings (R1, R2, ...) are numbered as in the model. Measures and labels follow the contract.
+Equations and readings (R1, R2, ...) are numbered as in the model. Measures follow the contract.
 """
 
-from exact.measures import label, measure
+from exact.measures import measure
 from exact.motion import Motion, run
 from exact.pulses import Pulses, Sweep
 from exact.scenes import SCENES
 
-__all__ = ["SCENES", "Motion", "Pulses", "Sweep", "label", "measure", "run"]
+__all__ = ["SCENES", "Motion", "Pulses", "Sweep", "measure", "run"]

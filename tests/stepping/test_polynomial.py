@@ -59,19 +59,6 @@ def test_root_where_newton_leaves_the_bracket():
     np.testing.assert_allclose(result, (3 + np.sqrt(13.8)) / 12, rtol=1e-12)
 
 
-def test_roots_of_several_lanes():
-    """Lanes with different roots, starts and ends do not affect each other."""
-    root_at = np.array([0.2, 0.5, 0.7, 0.05])
-    zeros = np.array([0, 1, 2, 1])
-    c = np.stack(
-        [falling(*each) for each in zip(root_at, RANDOM.uniform(-0.1, 0.1, (4, 3)), zeros, strict=True)], axis=1
-    )
-    result = find_root(
-        jnp.asarray(c), jnp.asarray(zeros, float), jnp.asarray(root_at * 1.1), jnp.asarray([0.4, 1, 1, 0.1])
-    )
-    np.testing.assert_allclose(result, root_at, rtol=1e-12)
-
-
 @settings(deadline=None, max_examples=100)
 @given(
     c=st.lists(st.floats(-1, 1, allow_subnormal=False), min_size=6, max_size=6),
