@@ -2,19 +2,11 @@
 
 import numpy as np
 import pytest
-from test_attractors import BOX, groups, irregular
+from test_attractors import BOX
 
 import vibrojax as vj
 from vibrojax.measures.labels import IRREGULAR
-from vibrojax.studies.attractor_groups import (
-    BATCHES,
-    CONVERGED_STDERR,
-    IRREGULAR_WITHIN,
-    RESOLUTION_STDERRS,
-    on_orbits,
-    statistics,
-    stderr_name,
-)
+from vibrojax.studies.attractor_groups import CONVERGED_STDERR, statistics
 
 SCENE = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "v": 1.5}}
 
@@ -82,22 +74,3 @@ def test_drifting_or_rarely_switching_motion_does_not_converge():
     result = statistics(windows_of(np.hstack([drifting, switching, np.ones_like(time)])))
     assert result.converged.tolist() == [False, False, True]
     assert (result.errors[0, :2] > CONVERGED_STDERR).all()
-
-
-def test_lane_that_reaches_an_orbit_is_not_converged():
-    windows = np.repeat(windows_of(np.ones((4 * BATCHES, 1))), 2, axis=2)
-    windows[-BATCHES:, -2, 1] = 2.0
-    assert on_orbits(windows).tolist() == [False, True]
-    assert statistics(windows).converged.tolist() == [True, False]
-
-
-# Grouping
-
-
-def test_standard_errors_widen_resolution():
-    step = np.log1p(IRREGULAR_WITHIN)
-    velocity = [1.0, np.exp(1.6 * step)]
-    assert groups(irregular(impact_velocity=velocity)) == [0, 1]
-    error = {stderr_name("impact_velocity"): [0.7 * step / RESOLUTION_STDERRS] * 2}
-    assert groups(irregular(impact_velocity=velocity, **error)) == [0, 0]
-    assert groups(irregular(impact_velocity=[1.0, np.exp(2.5 * step)], **error)) == [0, 1]

@@ -177,35 +177,13 @@ def test_continuation_of_other_scenes():
     assert set(coupled.special_note.values.tolist()) >= {"the first value is reached", "the last value is reached"}
 
 
-def random_lines(seed, count):
-    """Yield random lines through the box: the fixed values, the varied parameter, its initial value and its bounds."""
-    random = np.random.default_rng(seed)
-    wide = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.5, 3.0), "delta": (-0.01, 0.02)}
-    for _ in range(count):
-        fixed = {
-            "beta": random.uniform(0.25, 0.6),
-            "gamma": random.uniform(0.6, 0.8),
-            "v": random.uniform(0.6, 2.0),
-            "delta": -0.005,
-        }
-        along = str(random.choice(list(wide)))
-        begin = fixed.pop(along)
-        yield fixed, along, begin, wide[along]
-
-
-LINES = [
-    pytest.param(line, marks=[pytest.mark.long] * (k != 3), id=line[1]) for k, line in enumerate(random_lines(11, 5))
-]
-
-
-@pytest.mark.parametrize("line", LINES)
-def test_lanes_near_orbits_stay_only_if_orbits_are_stable(line):
-    """The sweeps along random lines know nothing of multipliers or special points."""
-    fixed, along, begin, span = line
-    family = follow_drill(along=along, at=begin, span=span, start="drive", cycles=1, **fixed)
+def test_lanes_near_orbits_stay_only_if_orbits_are_stable():
+    """The sweep knows nothing of multipliers or special points."""
+    fixed = {"beta": 0.42898650763, "v": 0.98543234207, "delta": -0.005}
+    family = follow_drill(along="gamma", at=0.7325685905, span=(0.3, 1.2), start="drive", cycles=1, **fixed)
     hyperbolic = family.isel(point=np.abs(family.multiplier_abs[:, 0].values - 1) > 0.03)
     count = hyperbolic.sizes["point"]
-    points = {name: [value] * count for name, value in fixed.items()} | {along: hyperbolic[along].values.tolist()}
+    points = {name: [value] * count for name, value in fixed.items()} | {"gamma": hyperbolic.gamma.values.tolist()}
     points |= {"start_x1": hyperbolic.orbit_x1.values.tolist(), "start_v1": [0.0] * count}
     points |= {
         "start_x2": (hyperbolic.orbit_x2.values + 1e-6).tolist(),

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from exact import orbits as exact
-from random_orbits import in_upper_half
+from exact.orbits import in_upper_half
 
 import vibrojax as vj
 from vibrojax.cli import main

@@ -5,7 +5,6 @@ import pytest
 from exact.described import Described, Rub, Stop, Surface
 from exact.hybrid import Hybrid
 from exact.random_systems import draw, structure
-from random_families import family_of, faults
 from random_systems import built, compare
 
 FREE = {"x": ((1.0, "v"),), "v": ((-1.0, "g"),)}
@@ -79,11 +78,3 @@ def test_trajectories_of_random_systems(seed):
 def test_more_trajectories_of_random_systems(seed):
     outcomes = verdicts(seed, range(5))
     assert {key: verdict for key, verdict in outcomes.items() if verdict.kind == "WRONG"} == {}
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [301, 302, 304, 305, 309])
-def test_families_of_random_systems(seed):
-    """States, impacts and multipliers along a parameter, and stability that changes at special points only."""
-    compared, found = faults(*family_of(seed, 0))
-    assert found == [] and compared >= 3

@@ -221,7 +221,6 @@ def test_steep_friction_law_from_two_starts():
 # Systems that run
 
 
-@pytest.mark.long
 def test_relay_feedback_with_section_on_the_switch():
     """The relay -sgn(x) with the plant 1/(s + 1)³. After half a period h of its cycle, the state is reversed.
 

@@ -26,17 +26,6 @@ BESIDE = vj.System(
     events=[vj.Switch("side", lambda t, y, p: y["y"])],
 )
 
-HELD = vj.System(
-    "held",
-    states=OSCILLATOR | {"x2": "m", "v2": "m s-1"},
-    parameters={"N": 1.0},
-    field=lambda t, y, p: oscillation(t, y) | {"x2": y["v2"], "v2": -0.01 * y["x2"]},
-    period=PERIOD,
-    events=[
-        vj.Friction("base", lambda t, y, p: y["v2"], lambda t, y, p: p["N"], law=0.3, acts_on="v2", mass=lambda p: 1.0)
-    ],
-)
-
 
 def test_states_that_stand_still_or_decay_do_not_decide():
     starts = [[1.0, 3 / 7, 0.0, 0.0, 0.0], [1.0, 0.0, 0.5, 0.3, 1.0], [0.0] * 5]
@@ -47,19 +36,6 @@ def test_states_that_stand_still_or_decay_do_not_decide():
     own = np.exp(-PERIOD * np.array([DECAY, DAMPING / 2, DAMPING / 2, RATE, np.inf]))
     np.testing.assert_allclose(ds.multiplier_abs.values[0], np.tile(own, (3, 1)), atol=1e-9)
     np.testing.assert_allclose(ds.orbit_w, 3 / 7, rtol=1e-9)
-
-
-@pytest.mark.long
-def test_mass_that_friction_holds_does_not_decide():
-    """Every position of the held mass belongs to an orbit, so that one multiplier is 1."""
-    run = {"orbits": True}
-    starts = [[0.0] * 4, [0.5, 0.0, 0.2, 0.5]]
-    ds = vj.run_sweep({"scene": HELD, "grid": {"N": [1.0]}, "starts": starts, "run": run}, progress=False)
-    assert ds.cycles.values.ravel().tolist() == [1, 1] and set(names_of(ds)) == {"periodic"}
-    assert (ds.orbit_reason == 0).all() and (ds.stable == 1).all()
-    own = [1.0, *np.exp(-PERIOD * np.array([DAMPING / 2, DAMPING / 2, np.inf]))]
-    np.testing.assert_allclose(ds.multiplier_abs.values[0], np.tile(own, (2, 1)), atol=1e-9)
-    assert len(np.unique(ds.orbit_x2)) == 2
 
 
 def pendulum(name, *events):
