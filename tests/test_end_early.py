@@ -34,9 +34,8 @@ def early_and_full(scene: str, *run, **parameters) -> tuple:
         "beta": rng.uniform(0.2, 0.8, LANES),
         "gamma": rng.uniform(0.5, 0.9, LANES),
         "v": np.exp(rng.uniform(np.log(0.5), np.log(2.0), LANES)),
+        "delta": rng.uniform(-0.005, 0.01, LANES),
     }
-    if scene != "rotary":
-        columns["delta"] = rng.uniform(-0.005, 0.01, LANES)
     points = {name: column.tolist() for name, column in columns.items()} | {"start": ["stuck", "drive"] * (LANES // 2)}
     run = {"settle": 24.0, "observe": 8.0, "error": ERROR} | dict(run)
     sweep = {"scene": scene, "points": points, "parameters": parameters}

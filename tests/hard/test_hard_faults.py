@@ -123,6 +123,7 @@ def test_full_disk(folder, whole, monkeypatch):
         status, errors = run_sweep(folder)
     advice = "finished chunks are kept; to go on: vibrojax sweep map.toml -o map.nc\n"
     assert status == 1 and one_line(errors).endswith(f".zip: No space left on device; {advice}")
+    kept = chunks(folder)
     assert kept
     with limited_files(8000):  # the chunks are smaller, the dataset is larger
         status, errors = run_sweep(folder)
