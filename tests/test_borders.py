@@ -190,10 +190,6 @@ def test_command(command, capsys, monkeypatch):
     folder, printed = command
     monkeypatch.chdir(folder)
     assert "any start" in printed and "period-doubling" in printed
-    assert main(["borders", "map.nc"]) == 0  # reuses the finished result
-    assert "is there already" in capsys.readouterr().out
     assert main(["info", "map-borders.nc"]) == 0 and "% of the plane" in capsys.readouterr().out
     assert main(["borders", "map.nc", "--axes", "gamma"]) == 2
     assert "not a pair" in capsys.readouterr().err
-    assert main(["borders", "map.nc", "--axes", "beta,gamma"]) == 2
-    assert "holds another result" in capsys.readouterr().err

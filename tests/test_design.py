@@ -109,10 +109,6 @@ def test_command_writes_dataset_and_picture(tmp_path, monkeypatch, capsys):
     assert facts["design"]["at"]["gamma"] == pytest.approx(0.7)
     assert list(facts["design"]["subject"]) == ["peak_impact_force"]
     assert (tmp_path / "mine-design.nc").is_file() and (tmp_path / "mine-design.png").is_file()
-    assert main(["info", "mine-design.nc"]) == 0
-    assert "impact power" in capsys.readouterr().out
-    assert main(["design", "mine.toml"]) == 0
-    assert "is there already" in capsys.readouterr().out
 
 
 @pytest.mark.long

@@ -64,6 +64,7 @@ def step_by_scipy(after, slope=0.009):
     return np.array([-stance, np.cos(2 * stance) * rate]), 2 * rate - swing_rate, part.t[-1]
 
 
+@pytest.mark.long
 def test_long_gait_of_the_simplest_walker():
     """Two multipliers have the modulus 0.589113. States after a heel strike depend on two values: the third is zero."""
     gait = fsolve(lambda after: step_by_scipy(after)[0] - after, [-0.2003, 0.1998], xtol=1e-12)

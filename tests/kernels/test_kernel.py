@@ -277,12 +277,6 @@ def test_loops_along_arguments():
         Kernel(lambda rows, x: lax.scan(lambda a, row: (a + row, None), x, rows)[0] + rows[0], ROWS, X)
 
 
-def test_values_shared_by_all_lanes():
-    """One argument has no axes, and one result depends only on it."""
-    assert_matches_xla(lambda x, a, n: (x * a, x + n, jnp.where(n > 2, x, -x)), X, np.asarray(0.7), np.asarray(3.0))
-    np.testing.assert_array_equal(run_kernel(lambda x, a: jnp.zeros_like(x) + a, X, np.asarray(0.7)), 0.7)
-
-
 @pytest.mark.parametrize("lanes", [1, 33])
 @pytest.mark.parametrize("registers", [1, 2])
 def test_any_number_of_lanes(lanes, registers, width):
@@ -348,11 +342,6 @@ def test_refusals(name):
     """A function that mixes lanes, or has no rule, is refused with a reason."""
     with pytest.raises(Untranslatable, match=r"\w"):
         Kernel(REFUSED[name], X)
-
-
-def test_without_lanes():
-    with pytest.raises(Untranslatable, match="no argument has lanes"):
-        Kernel(lambda x: x + 1, 1.0)
 
 
 def test_unknown_parameters():

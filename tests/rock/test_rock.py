@@ -8,7 +8,6 @@ import vibrojax as vj
 from vibrojax.errors import InputError
 from vibrojax.maps.read import read_sweep
 from vibrojax.physics.rock import ROCKS, damping, ratchet, resistance
-from vibrojax.scenes.penetration import mean_force
 
 K3, D = 300e6, 150e3
 SHORT = {"settle": 0.3, "observe": 0.2}
@@ -50,13 +49,6 @@ def test_ratchet(x3, depth, gradient):
     value, slopes = jax.value_and_grad(ratchet, argnums=(0, 1, 2, 3))(x3, 2e-4, K3, D)
     assert float(value) == pytest.approx(depth, rel=1e-14)
     np.testing.assert_allclose(slopes, gradient, rtol=1e-14)
-
-
-@pytest.mark.parametrize(("shape", "share"), [("rectangular", 1.0), ("half-sine", 2 / np.pi)])
-def test_mean_force(shape, share):
-    """P = A w f, and times 2/pi, the mean of sin over half a turn, for half-sines."""
-    p = {"force": 2e5, "pulse_width": 4e-3, "frequency": 20.0}
-    assert mean_force(p, shape) == pytest.approx(16e3 * share, rel=1e-15)
 
 
 def test_table_4_5():
