@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
-from scipy.optimize import brentq, fsolve
+from scipy.optimize import fsolve
 
 import vibrojax as vj
 
@@ -81,56 +80,6 @@ def test_long_gait_of_the_simplest_walker():
     assert float(ds.period[0, 0]) == pytest.approx(duration, rel=1e-9)
     assert float(ds.impact_velocity[0, 0]) == pytest.approx(speed, rel=1e-6)
     assert ds.multiplier_abs.values.ravel() == pytest.approx([modulus, modulus, 0.0], abs=1e-7)
-
-
-# A buck converter with a ramp: Fossas and Olivar, IEEE Transactions on Circuits and Systems I 43 (1996), 13.
-# L = 20 mH, C = 47 µF, R = 22 Ohm, gain 8.4, reference 11.3 V, ramp 3.8 to 8.2 V in 400 µs.
-
-RAMP = 400e-6
-CIRCUIT = np.array([[-1 / (22.0 * 47e-6), 1 / 47e-6], [-1 / 20e-3, 0.0]])
-BUCK = vj.System(
-    "buck-from-input",
-    states={"v": "V", "i": "A"},
-    parameters={"E": (20.0, "V")},
-    field=lambda t, y, p, s: {
-        "v": (y["i"] - y["v"] / 22.0) / 47e-6,
-        "i": (p["E"] * (1 - s["off"]) / 2 - y["v"]) / 20e-3,
-    },
-    period=RAMP,
-    events=[vj.Switch("off", lambda t, y, p: 8.4 * (y["v"] - 11.3) - (3.8 + 4.4 * E.sawtooth(t / RAMP)))],
-)
-
-
-def buck_orbit(supply):
-    """Return the state (v, i) at the beginning of the ramp and the multipliers: off until one instant, then on."""
-    gained = np.linalg.solve(CIRCUIT, np.array([0.0, supply / 20e-3]))
-
-    def first(at):
-        off, on = expm(CIRCUIT * at), expm(CIRCUIT * (RAMP - at))
-        return np.linalg.solve(np.eye(2) - on @ off, (on - np.eye(2)) @ gained)
-
-    def excess(at):
-        return 8.4 * ((expm(CIRCUIT * at) @ first(at))[0] - 11.3) - (3.8 + 4.4 * at / RAMP)
-
-    at = brentq(excess, 0.1 * RAMP, 0.95 * RAMP, xtol=1e-18, rtol=1e-14)
-    off, on = expm(CIRCUIT * at), expm(CIRCUIT * (RAMP - at))
-    falls = 8.4 * (CIRCUIT @ off @ first(at))[0] - 4.4 / RAMP
-    jump = np.eye(2) + np.outer([0.0, supply / 20e-3], [8.4, 0.0]) / falls
-    return first(at), np.linalg.eigvals(on @ jump @ off)
-
-
-@pytest.mark.long
-def test_period_doubling_of_buck_converter():
-    doubling = brentq(lambda supply: buck_orbit(supply)[1].real.min() + 1, 24.4, 24.6)  # published between these
-    family = vj.follow(
-        BUCK, along="E", at=24.4, span=(24.2, 24.8), start=[12.0, 0.55], cycles=1, settle=0.4, progress=False
-    )
-    kinds = family.special_kind.attrs["flag_meanings"].split()
-    places = family.special_value.values[family.special_kind.values == kinds.index("period-doubling")]
-    assert places == pytest.approx([doubling], abs=1e-8)
-    orbit, (state, multipliers) = family.isel(point=int(np.flatnonzero(family.E == 24.4)[0])), buck_orbit(24.4)
-    assert [float(orbit.orbit_v), float(orbit.orbit_i)] == pytest.approx(state, abs=1e-9)
-    assert orbit.multiplier_abs.values == pytest.approx(sorted(abs(multipliers), reverse=True), abs=1e-7)
 
 
 # Van der Pol's oscillator

@@ -1,4 +1,4 @@
-"""Tests of invariants at every instant, on hard lanes: energy, friction that brakes, a contact that only pushes, rock."""
+"""Tests of invariants at every instant on hard lanes: energy, braking friction, pushing contact, rock that yields."""
 
 import numpy as np
 import pytest
