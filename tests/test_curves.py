@@ -156,6 +156,7 @@ def test_wrong_arguments_are_refused():
             )
 
 
+@pytest.mark.long
 def test_sticking_bit_slips_when_impact_force_ends():
     """The bit reaches the stick limit at the end of a contact.
 

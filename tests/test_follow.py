@@ -157,16 +157,6 @@ def test_branch_that_doubles_at_both_ends_is_listed_once():
     assert ends == set(doublings.tolist()) and end in ends
 
 
-def test_stick_points_of_family(family):
-    branch = branch_of(family, 0)
-    for value in specials(family, "stick"):
-        k = np.abs(branch.gamma.values - value).argmin()
-        around = branch.isel(point=slice(max(k - 1, 0), k + 2))
-        # Another number of phases stick or slide backwards on either side, and the slopes of their shares change.
-        assert float(around.stick_fraction.min()) < 0.2
-    assert len(specials(family, "stick")) == 10
-
-
 @pytest.mark.long
 def test_continuation_of_other_scenes():
     rotary = vj.follow("rotary", along="v", at=1.0, span=(0.6, 1.4), beta=0.3, gamma=0.5, progress=False)
