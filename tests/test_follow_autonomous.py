@@ -303,22 +303,3 @@ def test_families_without_an_equilibrium_do_not_stop_others():
     assert set(family.point_family.values.tolist()) == {1}
     with pytest.raises(vj.InputError, match="no isolated equilibrium"):
         roots(0.0, (-0.5, 1.0), start=0.9, cm=1.0, c2=-1.0, c0=-1.0)
-
-
-@pytest.mark.long
-def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
-    """Circles r² = m around both equilibria z² = 1 + m."""
-
-    def field(t, y, p):
-        growth = y["z"] ** 2 - 1 - y["x"] ** 2 - y["y"] ** 2
-        z = (p["m"] + 1) * y["z"] - y["z"] ** 3
-        return {"x": growth * y["x"] - y["y"], "y": growth * y["y"] + y["x"], "z": z}
-
-    system, family = rests(dict.fromkeys("xyz", "1"), field, -1.5, (-2.0, 1.0))
-    assert [value for _, value in points(family, "hopf")] == pytest.approx([0.0, 0.0], abs=1e-9)
-    assert family.special_note.values[family.special_value.values > 0.9].tolist() == ["the last value is reached"] * 3
-    circles = vj.follow(system, from_hopf=family, cycles=1, span=(-0.1, 0.5), progress=False)
-    last = circles.m.values == 0.5
-    assert sorted(circles.orbit_z.values[last]) == pytest.approx([-(1.5**0.5), 1.5**0.5], abs=1e-8)
-    with pytest.raises(vj.InputError, match="outside the span"):
-        vj.follow(system, from_hopf=family, span=(0.2, 0.5), progress=False)
