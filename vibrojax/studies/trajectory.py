@@ -323,7 +323,7 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         repeats = f"so far it repeats in each period of {cycles * period:.5g} s; " if cycles else ""
         return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {repeats}{advice}"
     if regime == "undecided":
-        return "undecided: the swing steadily grows or decays; a longer duration shows what it ends in"
+        return "undecided: the amplitude steadily grows or decays; a longer duration shows what it ends in"
     if regime == "failed":
         return "failed: the motion does not stay finite"
     cycles = int(values["cycles"])
