@@ -59,7 +59,7 @@ SHARED = {
     r"(\w+)_(?:least|most)_sample": (
         "NAME_least_sample, NAME_most_sample",
         "1",
-        "sample with this value; -1: no sample has one",
+        "number of the sample with this value; -1 if no sample has a value",
         "tolerance",
         "",
     ),

@@ -62,9 +62,9 @@ def read_log(
 ) -> pd.DataFrame:
     """Read a rig log as it was exported (CSV, LAS, WITSML, xlsx) into a table in SI units.
 
-    Rows without drilling are dropped and counted: without rate, weight or rotation, off the bottom, beyond the limits
-    of rigs, or with a falling depth. A table without a column of a rig, such as one with `relief` and
-    `rate_of_penetration`, keeps all its rows.
+    Rows during which the rig does not drill are dropped and counted: those without rate, weight or rotation, with the
+    bit off the bottom, with values that no rig reaches, or with a decreasing depth. A table without a column of a rig,
+    such as one with `relief` and `rate_of_penetration`, keeps all its rows.
 
     **Arguments:**
 
@@ -73,7 +73,7 @@ def read_log(
     - `where`: one or several conditions that rows must meet: "WOB (klb) < 35", "depth (m) >= 1200", "time (h) > 2",
       "Formation=shale". A condition on a quantity replaces its limit.
     - `nulls`: further texts or numbers that stand for a missing value, beside -999.25, NULL, N/A, - and the like.
-    - `needed`: quantities in which a bad cell or an unlikely unit is an error; faults of others are only noted.
+    - `needed`: quantities in which a bad cell or an unlikely unit is an error; in the others, it is only noted.
 
     **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`
     [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and

@@ -107,7 +107,7 @@ def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
     for swing in scene.section.swings:
         state = scene.states[scene.place(swing.position)]
         if swing.amplitude not in VARIABLES:
-            variables[swing.amplitude] = Variable(state.unit, f"half the swing of: {state.long_name}")
+            variables[swing.amplitude] = Variable(state.unit, f"half the peak-to-peak range of: {state.long_name}")
     for state in scene.states:
         name = state_name(state.name)
         if state.name in scene.return_states and name not in VARIABLES:

@@ -109,7 +109,7 @@ _LAWS = (
         "popp-exponential",
         "eq. 2.14",
         table(
-            Parameter("popp_c1", -0.02, "m s-1", "speed scale of the rise of Popp's friction law", "c₁", below=0.0),
+            Parameter("popp_c1", -0.02, "m s-1", "speed scale of the rising part of Popp's law", "c₁", below=0.0),
             Parameter("popp_c2", -0.25, "s m-1", "rate of the fall of Popp's friction law", "c₂"),
         ),
         mu=_popp_exponential,

@@ -47,7 +47,7 @@ class Step(NamedTuple):
     - `polynomials`: `polynomials[i][k]` is the coefficient of tau^k of state i; tau = time/h runs from 0 to `tau`.
     - `h` [s]: unit of tau; `dt` [s]: duration of the step, 0 if no step was taken.
     - `hits`: for each guard and marker, by name, a mask of the lanes whose step ended on it.
-    - `falling`: for each marker, a mask of the lanes in which its zero is a downward crossing.
+    - `falling`: for each marker, a mask of the lanes in which it crosses zero downwards.
     """
 
     before: tuple[Array, ...]
@@ -102,7 +102,7 @@ class AccuracyRequest(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The time `end` [s] until which the lanes in the mask `moving` step; the other lanes do not change."""
+    """The time `end` [s] at which the steps end. Only the lanes in the mask `moving` step."""
 
     end: Real
     moving: Flags

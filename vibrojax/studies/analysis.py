@@ -97,7 +97,7 @@ class Analysis(Settings):
     """
 
     subject: ClassVar[str] = "sweep"
-    """What is analysed, by which its command reads it: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
+    """What the command reads: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
 
     kind: ClassVar[str] = ""
     """Attribute `kind` of the analysis's datasets, and name of its command."""

@@ -42,7 +42,7 @@ def scene_rows() -> dict[str, dict[str, str]]:
 
 
 def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of a scene's parameters by name, including alternatives and those of every friction law.
+    """Return a table of a scene's parameters by name, with those of all friction laws and with alternative parameters.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
     is the range in the source and on drilling rigs; values far from it cause a warning. `where` is the friction law or
@@ -87,7 +87,7 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
 def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
     """Return a table of the variables in a scene's datasets by name: `units`, `meaning`, and `where`.
 
-    `where` is the command that adds the variable; it is empty for variables of sweeps, including those of orbits.
+    `where` is the command that adds the variable; it is empty for the variables of a sweep and of its orbits.
 
     **Raises:** `InputError` if there is no such scene.
 

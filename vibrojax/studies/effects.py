@@ -160,7 +160,7 @@ STUDY_VARIABLES = {
         "", "mean at the high level minus mean at the low level, in the variable's own unit", dims=_PARAMETER
     ),
     "interaction": Variable(
-        "", "half the difference of an effect between the levels of the other, in the variable's own unit", dims=_PAIR
+        "", "half the difference between one parameter's effects at the high and low level of the other", dims=_PAIR
     ),
     "mean": Variable("", "mean over the box, in the variable's own unit", dims=_OF),
     "std": Variable("", "standard deviation over the box, in the variable's own unit", dims=_OF),

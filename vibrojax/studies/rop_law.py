@@ -109,12 +109,12 @@ def fit_rop(
 ) -> xr.Dataset:
     """Fit the rate-of-penetration law (source, eq. 6.4) in three readings, and three rivals, to each group of lanes.
 
-    A lane at zero rate is censored: it contributes only if a form predicts a positive rate. Lanes that failed, are
-    irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for noise of constant
-    size and for noise proportional to the rate.
+    A lane whose rate is zero is censored: it contributes only where a form of the law predicts a positive rate. Lanes
+    that failed, are irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for
+    noise of constant size and for noise proportional to the rate.
 
-    For rows of a rig log, the loss is robust, and the law may end at a founder weight; the forms are then fitted to the
-    rows below it. From 30 rows on, wrong rows are left out and listed (attribute `left_out_rows`). From 50 rows on, the
+    For rows of a rig log, the loss is robust. If the data show a founder weight, the forms are fitted to the rows below
+    it. From 30 rows on, wrong rows are left out and listed (attribute `left_out_rows`). From 50 rows on, the
     fit accounts for correlated noise of neighbouring rows: leaving out blocks of rows gives the standard errors, and
     the forms are compared by their predictions of each block from all others (`cv_error`).
 
@@ -132,7 +132,7 @@ def fit_rop(
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
       {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: eta is then
       the force over its median (attribute `reference_force` [N]), and `onset_force` [N] is the force at the onset.
-    - `where`, `nulls`: of a rig log, as in `read_log`.
+    - `where`, `nulls`: only for a rig log; as in `read_log`.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
     r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` and `reason`. A coefficient is
