@@ -111,23 +111,6 @@ def test_interrupt_is_raised_as_such(monkeypatch):
     np.testing.assert_array_equal(call(x), expected)
 
 
-@pytest.mark.parametrize("setting", [pytest.param(jax.debug_nans, marks=pytest.mark.long), jax.disable_jit])
-def test_settings_for_debugging_change_no_result(f, setting):
-    def results():
-        motion = vj.simulate("vibro-impact", start="stuck", duration=0.3, progress=False)
-        sweep = {"scene": "vibro-impact", "grid": {"beta": [0.4]}, "run": RUN, "starts": ["stuck"]}
-        yield motion.x1.values
-        yield vj.run_sweep(sweep, progress=False).period.values
-        new = _function()
-        yield np.asarray(new(HERE)["period"])
-        yield np.asarray(jax.grad(lambda x: new(x)["period"])(jnp.asarray(HERE)))
-
-    expected = list(results())
-    with setting(True):
-        for result, other in zip(results(), expected, strict=True):
-            np.testing.assert_array_equal(result, other)
-
-
 def test_arrays_on_a_mesh(f):
     mesh, spec = jax.make_mesh((1,), ("i",), axis_types=(jax.sharding.AxisType.Explicit,)), jax.sharding.PartitionSpec
     points = jnp.asarray([HERE, HERE + 0.01])

@@ -177,19 +177,6 @@ def test_unsuitable_sweep_is_refused(change, message):
         vj.attractors(tables, progress=False)
 
 
-@pytest.mark.long
-def test_plane_of_starts_marks_orbits():
-    """The marks are where the orbits cross the section, according to the stored returns of another sweep."""
-    plane = {"plane": {"x1": np.linspace(-0.1, 0.1, 6).tolist(), "x2": np.linspace(-0.15, 0.05, 6).tolist()}}
-    tables = {"scene": "vibro-impact", "parameters": {"delta": 0.005, **REGIMES_AT}, "starts": plane}
-    attractors = vj.attractors(tables, progress=False)
-    kept = vj.run_sweep(tables | {"starts": ["stuck"], "run": {"keep_returns": 1}}, progress=False)
-    crossing = [1e3 * float(kept[f"return_{state}"].squeeze()) for state in ("x1", "x2")]
-    circle = next(line for line in vj.picture(attractors).axes[0].lines if line.get_marker() == "o")
-    np.testing.assert_allclose([circle.get_xdata()[0], circle.get_ydata()[0]], crossing, rtol=1e-6)
-    assert np.isfinite(attractors.orbit_v2.values).tolist() == (attractors.cycles.values > 0).tolist()
-
-
 def test_command(sweep, attractors, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     vj.write_dataset(sweep, tmp_path / "map.nc")

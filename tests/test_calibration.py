@@ -232,21 +232,6 @@ def test_friction_is_recovered_through_impacts_beside_rows(motion):
     assert np.isnan(velocity[: len(SPEEDS)]).all() and np.isnan(period[len(SPEEDS) :]).all()
 
 
-@pytest.mark.long
-def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history):
-    """In standard errors, the squared distance from the truth is chi-squared with two degrees of freedom."""
-    rng, noise, distances = np.random.default_rng(20260102), 0.005, []
-    for _ in range(20):
-        noisy = history[["v1"]].assign(v1=history.v1 + noise * rng.standard_normal(history.sizes["time"]))
-        fit = from_history({"data": noisy, "window": [0.0, 0.5], "start": "stuck"}, searches=1, draws=2)
-        size = np.sqrt(np.mean(fit.observed.values**2))
-        assert float(fit.noise) * size == pytest.approx(noise, rel=0.3)
-        stderr, deviation = fit.estimate_stderr.values, fit.estimate.values - [*FRICTION.values()]
-        distances.append(deviation @ np.linalg.solve(fit.correlation.values * np.outer(stderr, stderr), deviation))
-    # The mean is 2 and its standard error is sqrt(4/20). The test allows four standard errors.
-    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 20)
-
-
 def test_histories_of_all_forms_are_read(history, tmp_path):
     time, v1 = history.time.values[:100], history.v1.values[:100]
     lines = ["t (ms);note;speed (mm/s)"]

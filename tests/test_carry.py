@@ -10,8 +10,6 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
 from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT
-from vibrojax.pictures.overlays import special_points
-from vibrojax.pictures.returns import jumps
 
 BETAS, GAMMAS = [0.3, 0.4], [0.59, 0.61, 0.63, 0.7, 0.75]
 MAP = {
@@ -72,40 +70,6 @@ def test_carrying_continues_after_a_failed_lane():
     alone = vj.run_sweep(stiff | {"grid": {"k0": [5e7]}, "run": {"settle": 10.0, "observe": 4.0}}, progress=False)
     assert (carried_lanes.regime.sel(k0=1e300) == FAILED).all()
     np.testing.assert_array_equal(carried_lanes.period.sel(k0=5e7), [alone.period.item()] * 2)
-
-
-@pytest.mark.long
-def test_jumps_agree_with_continuation():
-    """Over the gap at beta 0.4 and gamma 0.6, there is hysteresis between the strong and the weak single impact.
-
-    The strong one ends where it meets an unstable orbit in a corner. The weak one ends where the bit no longer falls
-    behind the drive.
-    """
-    point, gap = {"beta": 0.4, "gamma": 0.6}, {"start": -0.006, "stop": 0.008, "num": 29}
-    run = {"carry": "delta", "keep_returns": 4}
-    tables = {"scene": "vibro-impact", "starts": ["drive"], "parameters": point, "grid": {"delta": gap}, "run": run}
-    loop = vj.run_sweep(tables, progress=False)
-    branches = [(at, "drive", (-0.004, 0.004)) for at in (-0.003, 0.003)]
-    strong, weak = (
-        vj.follow("vibro-impact", along="delta", at=at, span=span, start=start, progress=False, **point)
-        for at, start, span in branches
-    )
-    step = float(loop.delta[1] - loop.delta[0])
-    jump_indices = jumps(loop.rename(direction="start"), "delta")
-    midpoints = [(loop.delta.values[index] + loop.delta.values[index + 1]) / 2 for index in jump_indices]
-    for family, (jump,), kind in ((strong, midpoints[0], "stick"), (weak, midpoints[1], "section")):
-        special = [value for name, value in special_points(family) if name == kind]
-        assert min(abs(jump - value) for value in special) < step
-    # The branch turns back at the corner: it has no orbit beyond, and is unstable from there on.
-    corner = float(strong.delta.max())
-    unstable = strong.delta.values[strong.stable.values == 0]
-    assert midpoints[0][0] == pytest.approx(corner, abs=step) and unstable.max() == pytest.approx(corner, abs=1e-6)
-    # Carried up, the strong orbit persists until it jumps; carried down, the weak one.
-    velocity = loop.impact_velocity.sel(delta=0.0, method="nearest")
-    assert velocity.sel(direction="up") > 2.5 and velocity.sel(direction="down") < 1.0
-    figure = vj.picture(loop, over=[strong, weak])
-    note = " ".join(figure._supxlabel.get_text().split())
-    assert "up between 2 and 2.5 mm (stick at 2.2763)" in note and "(section at −2.68" in note
 
 
 @pytest.mark.parametrize(

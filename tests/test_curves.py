@@ -10,19 +10,11 @@ from systems import IMPACT_OSCILLATOR, SHAKEN, friction_stops, oscillator_double
 from test_follow import eigenvalue
 
 import vibrojax as vj
-from vibrojax.explorer import contents_of
 from vibrojax.io.kinds import SPECIAL_KINDS
-from vibrojax.periodic.problem import FAMILY_ACCURACY
-from vibrojax.periodic.return_map import Segments
-from vibrojax.scenes import SCENES
 
 R, W, FOLDING = 0.7, 0.9, 1.25
 FIXED = {"stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 W_SPAN = (0.7, 1.3)
-DRILL = json.dumps(
-    {"m1": 250, "beta": 0.4, "k1": 156250, "c2": 250, "g": 9.81, "v": 1.5, "k0": 5e7, "c0": 0.1, "delta": -0.005}
-    | {"mu": 0.4, "v_cr": 3}
-)
 NATURAL = np.sqrt(1 - 0.05**2)  # natural frequency of the damped oscillator [rad/s]
 
 
@@ -154,37 +146,6 @@ def test_wrong_arguments_are_refused():
             vj.curves(
                 family("fold", *fold_point(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | arguments
             )
-
-
-@pytest.mark.long
-def test_sticking_bit_slips_when_impact_force_ends():
-    """The bit reaches the stick limit at the end of a contact.
-
-    The events of the orbit differ on the two sides of the curve.
-    """
-    states = {"orbit_x1": -0.074074041, "orbit_x2": -0.191995851, "orbit_v2": -1.502108456, "gamma": 0.598413726}
-    fixed = {name: float(x) for name, x in json.loads(DRILL).items()}
-    branch = family("stick", 0.598413726, 1.0, (0.0, 0.0), (0.5, 0.7)).drop_vars(("a", "orbit_x", "orbit_v"))
-    branch = branch.assign({name: ("point", [x]) for name, x in states.items()})
-    attributes = {"scene": "vibro-impact", "along": "gamma", "parameters": DRILL}
-    ds = vj.curves(branch.assign_attrs(attributes), by="beta", span=(0.38, 0.42), progress=False)
-    curve = ds.isel(point=np.flatnonzero(ds.point_curve.values == 0)[::2])
-    assert curve.sizes["point"] > 4 and curve.beta.values.min() < 0.39 and curve.beta.values.max() > 0.41
-    assert np.hypot(np.diff(curve.gamma), np.diff(curve.beta)).min() > 1e-4
-    orbits = np.stack([curve[f"orbit_{name}"].values for name in ("x1", "x2", "v2")])
-    return_map = Segments(SCENES["vibro-impact"](), ("gamma", "beta"), FAMILY_ACCURACY)
-    counts = []
-    for step in (-1e-6, 1e-6):
-        parameters = {name: np.full(curve.sizes["point"], x) for name, x in fixed.items()}
-        parameters |= {"beta": curve.beta.values, "gamma": curve.gamma.values + step}
-        counts.append(return_map(parameters, orbits).seen.mode_changes)
-    assert (counts[0] != counts[1]).any(axis=(0, 1)).all()
-    # The page shows the orbit of each point, which is chosen in the plot of the curves.
-    page = contents_of(ds)
-    motions = list(page.cells)
-    assert page.document["map"] is False and page.document["figure"]["plots"][0]["x"]["direction"] == "point:gamma"
-    assert {motion.kind for motion in motions} == {"orbit"}
-    np.testing.assert_allclose([motion.duration for motion in motions], ds.period * ds.cycles, rtol=1e-6)
 
 
 def test_hopf_points_follow_linear_stability_of_sliding():

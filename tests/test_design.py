@@ -88,15 +88,6 @@ def test_points_of_front_match_simulations(designed):
         assert (lanes(gamma=designed.front_gamma + end).peak_impact_force <= designed.front_limit.values).all()
 
 
-@pytest.mark.long
-def test_lanes_alone_find_same_optimum(designed):
-    table = DESIGN | {"run": RUN | {"orbits": False, "error": 1e-6}}
-    del table["front"]
-    best = vj.design(table, progress=False).isel(candidate=0)
-    assert float(best.objective) == pytest.approx(float(designed.objective[0]), rel=1e-3)
-    assert np.isfinite(best.gradient).all()
-
-
 def test_command_writes_dataset_and_picture(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(

@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 import systems
+from scipy.integrate import solve_ivp
 from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, belt_period, ends, events_of, mass, names_of
 
 import vibrojax as vj
@@ -257,3 +258,30 @@ def test_normal_force_can_depend_on_switches():
         section="v",
     )
     assert ends(block, [0.0, 1.0], 5.0) == pytest.approx([0.5 + (0.5 - 0.3 * 0.5) / 0.6, 0.0], abs=1e-9)
+
+
+VAN_DER_POL = vj.System(
+    "relaxation",
+    states={"x": "1", "v": "s-1"},
+    parameters={"mu": 1.0},
+    field=lambda t, y, p: {"x": y["v"], "v": p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]},
+    section="x",
+)
+AT_ONE = 6.6632868593231301896996820305  # s: the period at mu = 1
+
+
+def test_periods_and_multiplier_of_van_der_pol():
+    """Periods are published for 1 and 5. At 0.1, the series of the frequency has an error of 1e-11."""
+    series = 2 * np.pi / (1 - 0.1**2 / 16 + 17 * 0.1**4 / 3072 + 35 * 0.1**6 / 884736)
+    sweep = {"scene": VAN_DER_POL, "grid": {"mu": [0.1, 1.0, 5.0]}, "starts": [[1.0, 0.0]], "run": {"orbits": True}}
+    ds = vj.run_sweep(sweep, progress=False)
+    right = np.array([series, AT_ONE, 11.612230667])
+    difference = np.abs(ds.period.values.ravel() - right)
+    assert (difference <= 3 * ds.error_estimate.values.ravel() * right).all()
+    np.testing.assert_allclose(ds.period.values.ravel(), right, rtol=1e-9)
+    # The multiplier of a planar orbit is the exponential of the integral of the field's divergence.
+    rates = lambda t, y: [y[1], (1 - y[0] ** 2) * y[1] - y[0], 1 - y[0] ** 2]  # noqa: E731
+    settled = solve_ivp(rates, (0.0, 10 * AT_ONE), [2.0, 0.0, 0.0], rtol=1e-12, atol=1e-14, method="DOP853").y[:2, -1]
+    exponent = solve_ivp(rates, (0.0, AT_ONE), [*settled, 0.0], rtol=1e-12, atol=1e-14, method="DOP853").y[2, -1]
+    assert exponent == pytest.approx(-7.0589, abs=1e-3)
+    assert float(ds.multiplier_abs[1, 0, 0]) == pytest.approx(np.exp(exponent), rel=1e-6)

@@ -40,18 +40,3 @@ def test_overlapping_pulses_are_refused():
     np.testing.assert_array_equal(np.isnan(dataset.rate_of_penetration), [True, True, False])
     with pytest.raises(InputError, match="pulse width not below 1/frequency"):
         vj.simulate("penetration", pulse_width=0.05, frequency=20.0, duration=0.1, progress=False)
-
-
-def test_rocks_in_points(tmp_path):
-    """A column of rock names stands for their numbers, in a table and in a CSV file."""
-    table = {"rock": ["granite", "sandstone"], "force": [3e5, 3e5]}
-    (tmp_path / "rocks.csv").write_text("rock,force\ngranite,3e5\nsandstone,3e5\n")
-    (tmp_path / "rocks.toml").write_text('scene = "penetration"\npoints = "rocks.csv"\n')
-    for source in ({"scene": "penetration", "points": table}, tmp_path / "rocks.toml"):
-        sweep = vj.read_sweep(source)
-        assert list(sweep.points["rock"]) == ["granite", "sandstone"]
-        values, _ = sweep.lane_values(0, 2)
-        assert values["threshold"].tolist() == [204.5e3, 61.9e3] and values["k3"].tolist() == [224.24e6, 100.68e6]
-    (tmp_path / "rocks.csv").write_text("rock,force\ngranit,3e5\n")
-    with pytest.raises(InputError, match=r"rocks.csv: line 2, column rock: .*granit.* unknown; .*granite"):
-        vj.read_sweep(tmp_path / "rocks.toml")

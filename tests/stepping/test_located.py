@@ -147,18 +147,6 @@ def test_chatter_comes_to_rest(c0):
         assert len(steps.dt) < 1500
 
 
-@pytest.mark.parametrize(
-    ("start", "values"),
-    [
-        ("stuck", {"beta": 0.63, "gamma": 1.7, "v": 1.23, "delta": -0.0048, "k0": 1e10, "c0": 100, "c2": 2e3, "mu": 1}),
-        ("drive", {"beta": 0.2742, "gamma": 1.7444, "v": 0.0393, "delta": -0.0161, "k0": 1e9, "c0": 0.0}),
-    ],
-)
-def test_stick_ends_in_stiff_contact(start, values):
-    """The stick limit falls with J, whose rounding errors are k0 times those of x2. Step halving must still end."""
-    assert final_states(DRILL, Located(), constants(DRILL, **values), start, 0.5)[1] < 20_000
-
-
 @pytest.mark.parametrize("start", [(0.003, -1.495, 0.0, 1.0), (0.03, -1.4, 0.0, 1.0)])  # the bit stays, or turns back
 @pytest.mark.parametrize("shift", [0.0, 1e-15, -1e-12, 1e-9])
 def test_simultaneous_switches(start, shift):
