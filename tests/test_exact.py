@@ -1,7 +1,5 @@
 """Tests of the exact reference (tests/exact) by itself, and of the package against it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from exact import measure, run
@@ -9,33 +7,13 @@ from exact.polynomials import COEFFICIENTS, X, falls
 
 import vibrojax as vj
 
-DATA = Path(__file__).parent / "data"
-BOUNDS = {
-    "regime": 0.0,
-    "cycles": 0.0,
-    "impacts": 0.0,
-    "period": 1e-8,
-    "impact_velocity": 2e-7,
-    "impact_velocity_min": 2e-7,
-    "impact_velocity_max": 2e-7,
-    "bit_velocity_at_impact": 2e-7,
-    "peak_impact_force": 2e-4,
-    "mean_impact_force": 1e-5,
-    "stick_fraction": 1e-5,
-    "reverse_fraction": 1e-5,
-    "slip_per_pulse": 1e-12,  # m
-    "rate_of_penetration": 1e-8,
-    "mean_force": 1e-10,
-    "relief": 1e-10,
-}
-HARD_BOUND = 5e-4
-DRILLS = {
+SCENES = {
     "rotary": {"beta": 0.3, "gamma": 0.6, "v": 1.0},
     "vibro-impact": {"beta": 0.4, "gamma": 0.6, "start": "stuck", "v": 0.8},
     "drilling": {"beta": 0.4, "gamma": 0.6, "zeta": 0.5},
     "coupled-drilling": {"beta": 0.4, "gamma": 0.6, "zeta": 0.5},
+    "penetration": {"zeta": 0.5, "force": 250e3, "pulse_shape": "half-sine"},
 }
-SCENES = DRILLS | {"penetration": {"zeta": 0.5, "force": 250e3, "pulse_shape": "half-sine"}}
 """A point of each scene; both drilling scenes yield, lift off and land at theirs."""
 
 
