@@ -57,6 +57,7 @@ def test_draws_within_tolerance_keep_limits_and_worst_values(designed):
         assert float(ds.impact_power.min()) >= float(best.objective_worst) * (1 - 1e-6)
 
 
+@pytest.mark.long
 def test_robust_design_has_best_worst_case_of_fine_scan():
     """A sliding minimum over the tolerance gives the worst case at every point of the scan."""
     change = {"robust": True, "tolerance": {"gamma": WIDE}, "subject": {"regime": "single-impact"}}

@@ -246,6 +246,7 @@ def test_hopf_points_at_the_beginning_and_next_to_each_other():
     assert [value for _, value in points(family, "hopf")] == pytest.approx([0.0, 1e-3], abs=1e-9)
 
 
+@pytest.mark.long
 def test_equilibria_meet_a_switch_and_end_at_a_stop():
     """A spring under the load m stiffens at x = 0.3, a point that bears the name of the switch, and rests on the stop
     at x = d from m = 2 d - 0.3 on: beyond that the field has no equilibrium."""

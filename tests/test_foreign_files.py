@@ -50,7 +50,9 @@ def test_command_replaces_no_foreign_file(folder, capsys, command):
     assert foreign.read_bytes() == b"somebody's" and sorted(path.name for path in folder.iterdir()) == before
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.pdf", "a.svg", "a.html", "a.nc", "a.zarr"])
+@pytest.mark.parametrize(
+    "name", ["a.png", "a.svg", "a.html", "a.nc", "a.zarr", pytest.param("a.pdf", marks=pytest.mark.long)]
+)
 def test_own_files_are_replaced_and_others_are_not(folder, motion, name):
     if name == "a.zarr":
         pytest.importorskip("zarr")

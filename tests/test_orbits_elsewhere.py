@@ -65,6 +65,7 @@ def test_orbit_with_rest_in_each_period_has_zero_multipliers():
         assert lane == pytest.approx([meets] * 2, rel=1e-7)
 
 
+@pytest.mark.long
 def test_section_during_sliding_has_multipliers_of_sliding_motion():
     """On the surface v + 1.5 x = 0, x' = -1.5 x + b cos w t, so the multipliers are exp(-1.5 T) and 0."""
     relay = vj.System(
@@ -79,6 +80,7 @@ def test_section_during_sliding_has_multipliers_of_sliding_motion():
     assert ds.multiplier_abs.values.ravel() == pytest.approx([np.exp(-1.5 * np.pi), 0.0], abs=1e-8)
 
 
+@pytest.mark.long
 def test_no_motion_grazes_a_clock():
     """Without events, the margin is that of the section, which the forcing crosses at its own rate."""
     lag = vj.System(

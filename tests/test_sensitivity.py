@@ -104,6 +104,7 @@ def test_derivatives_near_grazing_are_marked_invalid():
         assert near.reason[0].tolist() == [DERIVATIVE_REASONS.index(reason)] * 2
 
 
+@pytest.mark.long
 def test_derivatives_with_rock_agree_with_central_differences_of_orbits():
     values, by = {"beta": 0.4, "gamma": 0.6, "zeta": 0.5, "threshold": 1e5}, ("beta", "threshold")
     scene = SCENES["drilling"]()
@@ -219,6 +220,7 @@ def test_transformations_and_precisions(f):
         jax.hessian(lambda x: f(x)["period"])(HERE)
 
 
+@pytest.mark.long
 def test_results_do_not_depend_on_other_calls_or_neighbours_in_a_batch():
     """Each function is new, so that no result is a stored one; the results agree bit for bit."""
     points = np.random.default_rng(5).uniform([0.3, 0.5], [0.7, 1.1], (6, 2))

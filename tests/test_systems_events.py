@@ -137,6 +137,7 @@ def test_two_surfaces_that_change_each_others_sliding():
     assert ends(system, [1.0, 1.0, 0.0], 2.0) == pytest.approx([0.0, 0.0, z], abs=1e-8)
 
 
+@pytest.mark.long
 def test_sliding_on_two_switches_with_a_product_ends_with_a_reason():
     system = vj.System(
         "product",

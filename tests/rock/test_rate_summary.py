@@ -36,15 +36,3 @@ def test_summary_lists_range_maximum_and_lanes_without_rate(tmp_path, capsys):
     vj.write_dataset(ds, tmp_path / "pen.nc")
     assert main(["info", str(tmp_path / "pen.nc"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rates"]["lanes"] == 2
-
-
-def test_motion_without_rate_compares_rock_force_with_threshold():
-    """The contact force exceeds D = 204.5 kN, but the rock force does not. The bit's inertia takes the difference."""
-    ds = vj.simulate("drilling", rock="granite", beta=0.6, duration=20.0, progress=False)
-    peak = ds.rock_force.where(ds.time >= 12).max().item()
-    assert ds.peak_impact_force > 204500 > peak and ds.rate_of_penetration == 0
-    [lines] = [section.lines for section in summarise(ds) if section.name == "found"]
-    assert lines[1] == (
-        f"no penetration: the rock force reaches {peak / 1e3:.4g} kN, {peak / 204500:.2g} of the threshold D = "
-        "204.5 kN at which the rock yields; a softer rock or a greater v raises it"
-    )
