@@ -31,6 +31,7 @@ COMMANDS = {
     "simulate rotary duration=0.1 -o pic.nc --fresh": "pic.nc",
     "orbits map.toml": "map-orbits.png",
     "plot ref.nc": "ref.png",
+    "plot ref.nc -o pic.pdf": "pic.pdf",
     "plot ref.nc -o pic.svg --variable x1": "pic.svg",
     "explore ref.nc": "ref.html",
     "accuracy -o . --quick": "accuracy.md",
