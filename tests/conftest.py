@@ -74,19 +74,19 @@ visit_unchecked.__module__ = identity.__name__  # otherwise, the package counts 
 identity._Walk.visit = visit_unchecked
 
 LONGEST = (
+    "test_plots.py",
     "test_systems_events.py",
-    "test_follow_autonomous.py",
-    "test_follow.py",
-    "test_systems.py",
-    "test_hard_faults.py",
-    "test_calibration.py",
-    "test_curves.py",
-    "test_borders.py",
-    "test_kernel.py",
-    "test_follow_shrinking.py",
-    "test_chaos.py",
+    "test_explore_page.py",
     "test_trust.py",
-    "test_hostile.py",
+    "test_sensitivity.py",
+    "test_datasets_on_disk.py",
+    "test_systems.py",
+    "test_sealed_datasets.py",
+    "test_explore_served.py",
+    "test_design.py",
+    "test_orbits.py",
+    "test_follow_cli.py",
+    "test_finished_results.py",
 )
 """Slowest files. They start first, so that no process is left alone with one of them at the end."""
 
