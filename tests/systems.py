@@ -153,6 +153,14 @@ RELAY = vj.System(
 )
 """A relay with the sliding surface x + y = 0, on which x decays as exp(-t)."""
 
+VAN_DER_POL = vj.System(
+    "relaxation",
+    states={"x": "1", "v": "s-1"},
+    parameters={"mu": 1.0},
+    field=lambda t, y, p: {"x": y["v"], "v": p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]},
+    section="x",
+)
+
 EXPONENTIAL = vj.FrictionLaw(
     name="exponential",
     reference="",

@@ -304,3 +304,37 @@ def test_families_without_an_equilibrium_do_not_stop_others():
     assert set(family.point_family.values.tolist()) == {1}
     with pytest.raises(vj.InputError, match="no isolated equilibrium"):
         roots(0.0, (-0.5, 1.0), start=0.9, cm=1.0, c2=-1.0, c0=-1.0)
+
+
+# Families of orbits whose amplitude shrinks
+
+
+def test_family_passes_centre_of_large_amplitude():
+    """Reversed time takes van der Pol's oscillator at mu to that at -mu: periods are equal, multipliers reciprocal.
+
+    At mu = 0, the family crosses that of a centre, whose orbits have every amplitude and the period 2 pi.
+    """
+    begin = {"at": 0.4, "span": (-0.4, 0.4), "start": [1.0, 0.0], "cycles": 1}
+    whole = vj.follow(VAN_DER_POL, along="mu", progress=False, **begin)
+    family = whole.isel(point=whole.branch.values == 0, special=whole.special_branch.values == 0)
+    assert points(family, "branch-point") == [(0, pytest.approx(0.0, abs=1e-9))]
+    np.testing.assert_allclose(family.special_value, [-0.4, 0.0, 0.4], atol=1e-9)
+    ends = [family.isel(point=int(np.abs(family.mu.values - mu).argmin())) for mu in (-0.4, 0.4)]
+    assert float(ends[0].period) == pytest.approx(float(ends[1].period), rel=1e-9)
+    assert float(ends[0].multiplier_abs[0] * ends[1].multiplier_abs[0]) == pytest.approx(1.0, abs=1e-7)
+    away = np.abs(family.mu.values) > 1e-6
+    np.testing.assert_array_equal(family.stable.values[away] == 1, family.mu.values[away] > 0)
+    centre = whole.isel(point=whole.branch.values == 1, special=whole.special_branch.values == 1)
+    np.testing.assert_allclose(centre.period, 2 * np.pi, rtol=1e-7)
+    np.testing.assert_allclose(centre.mu, 0.0, atol=1e-7)
+    assert centre.orbit_v.min() < 1e-9 and centre.orbit_v.max() > 4
+    assert kinds(centre) == {"end", "hopf"}
+
+
+def test_small_forced_motion_goes_on():
+    """The amplitude of a forced motion below the stop is proportional to the force, however small."""
+    begin = {"at": 0.05, "span": (1e-6, 0.06), "start": [0.0, 0.0], "cycles": 1}
+    family = vj.follow(IMPACT_OSCILLATOR, along="a", w=0.9, progress=False, **begin)
+    assert kinds(family) == {"end"} and family.special_value.values.min() == pytest.approx(1e-6)
+    ratio = family.orbit_x.values / family.a.values
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)

@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 import systems
 from scipy.integrate import solve_ivp
-from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, belt_period, ends, events_of, mass, names_of
+from systems import (
+    BALL,
+    BELT,
+    BILINEAR,
+    IMPACT_OSCILLATOR,
+    RELAY,
+    VAN_DER_POL,
+    belt_period,
+    ends,
+    events_of,
+    mass,
+    names_of,
+)
 
 import vibrojax as vj
 
@@ -260,13 +272,6 @@ def test_normal_force_can_depend_on_switches():
     assert ends(block, [0.0, 1.0], 5.0) == pytest.approx([0.5 + (0.5 - 0.3 * 0.5) / 0.6, 0.0], abs=1e-9)
 
 
-VAN_DER_POL = vj.System(
-    "relaxation",
-    states={"x": "1", "v": "s-1"},
-    parameters={"mu": 1.0},
-    field=lambda t, y, p: {"x": y["v"], "v": p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]},
-    section="x",
-)
 AT_ONE = 6.6632868593231301896996820305  # s: the period at mu = 1
 
 
