@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from systems import IMPACT_OSCILLATOR, VAN_DER_POL
 
 import vibrojax as vj
 from vibrojax.cli import main
