@@ -26,10 +26,6 @@ class Pulses:
             return lambda times: self.force + 0 * times, end
         return lambda times: self.force * np.sin(np.pi * (times - begin) / self.pulse_width), end
 
-    def impulse(self) -> float:
-        """Return the impulse of one pulse [N s]."""
-        return self.force * self.pulse_width * (1 if self.pulse_shape == "rectangular" else 2 / math.pi)
-
 
 @dataclass
 class Sweep:
