@@ -307,7 +307,7 @@ def share_map(ds: xr.Dataset) -> Sheet:
 
 @dataclass(frozen=True)
 class Attractors(SweepAnalysis):
-    """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
+    """Find the attractors to which a sweep's starts lead, and the share of the starts for each."""
 
     kind = "attractors"
     counted = "attractor"

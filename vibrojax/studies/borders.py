@@ -325,7 +325,7 @@ def _stable_cells(ds: xr.Dataset, region: int, x: str, y: str) -> tuple[Cells, d
 
 @dataclass(frozen=True)
 class Borders(SweepAnalysis):
-    """Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there."""
+    """Find the borders of the stable single impact in a sweep's plane: curves, and what happens at each."""
 
     axes: tuple[str, str] | None = field(
         default=None,

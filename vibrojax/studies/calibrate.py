@@ -158,7 +158,7 @@ class Calibrations(FileAnalysis[Calibration]):
         "history (a CSV of the bit's velocity over time), [unknown] NAME = [low, high] and, as needed, start, "
         "[parameters], [error], [prior]"
     )
-    columns = 'of the history: which column is what, in which unit, like time="t (ms)" v1="bit speed (mm/s)"'
+    columns = 'columns of the history and their units, such as time="t (ms)" v1="bit speed (mm/s)"'
 
     def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Calibration:
         return read_calibration(file, columns)

@@ -39,12 +39,14 @@ _YES_NO = ("no", "yes")
 
 DESIGN_VARIABLES = {
     "share": Variable("1", "share of the starts from which all requirements hold at the nominal point"),
-    "share_worst": Variable("1", "least such share at the samples of the tolerances"),
-    "feasible": Variable("1", "whether all requirements hold at the samples of the tolerances", np.int8, _YES_NO),
-    "irregular_share": Variable("1", "share of the lanes of the samples that are irregular, undecided or failed"),
-    "gradient": Variable("", "derivative of the objective at the nominal orbit, in its unit per the parameter's"),
+    "share_worst": Variable(
+        "1", "least share of the starts from which all requirements hold at a sample of the tolerances"
+    ),
+    "feasible": Variable("1", "whether all requirements hold at all samples of the tolerances", np.int8, _YES_NO),
+    "irregular_share": Variable("1", "share of the samples' lanes that are irregular, undecided or failed"),
+    "gradient": Variable("", "derivative of the objective at the nominal orbit, per unit of the parameter"),
     "map_feasible": Variable("1", "whether all requirements hold at the nominal point", np.int8, _YES_NO),
-    "front_feasible": Variable("1", "whether a feasible point was found", np.int8, _YES_NO),
+    "front_feasible": Variable("1", "whether a feasible point was found for this limit", np.int8, _YES_NO),
 }
 """Variables whose units do not depend on the design, unlike objective, subject, map and front."""
 
@@ -207,7 +209,7 @@ class Designs(FileAnalysis[DesignSpec]):
                 data[key] = of(name, words).entry("candidate", [extreme(a.held(name, rows), end) for a in results])
         if spec.regime is not None:
             required = REGIMES.index(spec.regime)
-            words = "first other regime at the samples of the tolerances, else that asked for"
+            words = "first regime other than the required one at the samples of the tolerances, else the required one"
             first_other = Variable("1", words, np.int8, REGIMES)
             for name, rows, variable in (
                 ("regime", slice(1), VARIABLES["regime"]),

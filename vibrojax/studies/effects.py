@@ -164,10 +164,12 @@ STUDY_VARIABLES = {
     ),
     "mean": Variable("", "mean over the box, in the variable's own unit", dims=_OF),
     "std": Variable("", "standard deviation over the box, in the variable's own unit", dims=_OF),
-    "left_out": Variable("1", "base samples that are left out", np.int32, dims=_OF),
-    "corners_left_out": Variable("1", "corners of the two-level design that are left out", np.int32, dims=_OF),
-    "set_to_zero": Variable("1", "lanes without impacts whose value is set to 0", np.int32, dims=_OF),
-    "averaged": Variable("1", "irregular lanes, which count with their means", np.int32, dims=_OF),
+    "left_out": Variable("1", "number of base samples that are left out", np.int32, dims=_OF),
+    "corners_left_out": Variable(
+        "1", "number of corners of the two-level design that are left out", np.int32, dims=_OF
+    ),
+    "set_to_zero": Variable("1", "number of lanes without impacts, whose value is set to 0", np.int32, dims=_OF),
+    "averaged": Variable("1", "number of irregular lanes, whose means over time are used", np.int32, dims=_OF),
     "sobol_reason": Variable("1", "why there are no Sobol indices", np.int8, REASONS, dims=_OF),
     SHARE: Variable("1", "share of the Sobol sample's lanes with a single impact"),
     "regime_share": Variable("1", "share of the Sobol sample's lanes in the regime", dims=("label",)),
@@ -266,14 +268,14 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
 
 
 class Studies(FileAnalysis[Study]):
-    """Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)."""
+    """Find which parameters determine a machine's performance: effects, interactions and Sobol indices."""
 
     kind = "study"
     variables = STUDY_VARIABLES
     pictures = (PictureRule("effects", lambda held: "first_order" in held.variables, bars_and_interactions),)
     view = "plots"
 
-    about = "a study: a bundled name, like drill, or the path of a TOML file"
+    about = "a study: a bundled name such as drill, or the path of a TOML file"
     chunks = True
 
     def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Study:

@@ -214,10 +214,10 @@ class Pushes(MachineAnalysis[Machines]):
     file, numbered = "SCENE-push.nc, SCENE-push-2.nc, ...", True
     scenes = "rotary, vibro-impact or drilling"
 
-    scan: int = setting(SCAN, "pushes of each scan in a direction", least=2, most=10_000)
+    scan: int = setting(SCAN, "number of pushes per scan and direction", least=2, most=10_000)
     precision: float = setting(PRECISION, "relative width of the final bracket", above=0.0)
     most: Mapping[str, Any] = setting(
-        dict, "greatest push, m or m/s, as most_x1, most_v1, most_x2, most_v2", read=as_table
+        dict, "bounds of the pushes, m or m/s: most_x1, most_v1, most_x2, most_v2", read=as_table
     )
 
     @classmethod
@@ -316,10 +316,11 @@ class Pushes(MachineAnalysis[Machines]):
             push = f"push in the {state.long_name}, at the section"
             ends_in = f"regime in which the motion ends after the smallest {push}"
             for part, x, about in (
-                (_PUSH, high[:, pair], Variable(state.unit, f"smallest {push}, that leaves the working cycle")),
+                (_PUSH, high[:, pair],
+                 Variable(state.unit, f"smallest {push}, after which the motion leaves the working cycle")),
                 ("bracket_", (high - low)[:, pair],
-                 Variable(state.unit, f"distance to the next smaller {push}, that returns")),
-                ("bound_", bound[:, k], Variable(state.unit, f"greatest {push}, that was tried")),
+                 Variable(state.unit, f"distance to the next smaller {push}, after which the motion returns")),
+                ("bound_", bound[:, k], Variable(state.unit, f"greatest tried {push}")),
                 ("regime_", regime[:, pair], replace(VARIABLES["regime"], long_name=ends_in)),
             ):  # fmt: skip
                 whole = np.full((cycle.sizes["point"], *x.shape[1:]), 0 if part == "regime_" else np.nan)
@@ -328,7 +329,7 @@ class Pushes(MachineAnalysis[Machines]):
         own = ["regime", "period", *map(orbit_name, system.driving_part().return_states)]
         variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
         coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
-        sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
+        sign = ("sign", list(SIGNS), {"units": "1", "long_name": "sign of the push"})
         settings = {"method": METHOD, "scan": self.scan, "precision": self.precision, "patience": PATIENCE}
         dataset = self.dataset(
             variables,

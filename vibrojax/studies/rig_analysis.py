@@ -36,7 +36,7 @@ _NEEDED = {
 }
 SCHEMA = {
     "specific_energy": Variable("J m-3", "mechanical specific energy W/A + omega T/(A R) (Teale 1965)"),
-    "percussive_specific_energy": Variable("J m-3", "power of the impacts over volume drilled per second"),
+    "percussive_specific_energy": Variable("J m-3", "impact power over the volume drilled per second"),
     "torque_stick_slip": Variable(
         "1", "stick-slip index (Tmax - Tmin)/(2 Tmean) of the surface torque over 30 s around the row"
     ),

@@ -63,36 +63,42 @@ _FORM, _LANE = "form", "lane"
 SCHEMA = {
     "C": Variable("m s-1", "coefficient of the rate-of-penetration law", along=_FORM),
     "C_stderr": Variable("m s-1", "standard error of C", along=_FORM),
-    "eta0": Variable("1", "relief at the onset", along=_FORM),
+    "eta0": Variable("1", "relief at the onset of penetration", along=_FORM),
     "eta0_stderr": Variable("1", "standard error of eta0", along=_FORM),
     "exponent": Variable("1", "exponent of the relief", along=_FORM),
     "exponent_stderr": Variable("1", "standard error of the exponent", along=_FORM),
     "r_squared": Variable("1", "share of the rate's variance that the form explains", along=_FORM),
     "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2", along=_FORM),
-    "cv_error": Variable("m s-1", "error of rates predicted from the other blocks of rows of a log", along=_FORM),
+    "cv_error": Variable(
+        "m s-1", "cross-validation error: each block of a log's rows predicted from the others", along=_FORM
+    ),
     "evidence_against": Variable(
-        *("1", "n ln(e/least e) of predicted rates, or by AIC; rejected above 5.4 (a special case: 8.8), of a sweep 2"),
+        *(
+            "1",
+            "AIC, or 2 n ln(cv_error), minus its least value; rejected above 5.4 (a special case: 8.8), of a sweep 2",
+        ),
         along=_FORM,
     ),
-    "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32, along=_FORM),
-    "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32, along=_FORM),
+    "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),
+    "used": Variable("1", "number of lanes that the fit used, including those at zero rate", np.int32, along=_FORM),
     "left_out": Variable(
-        *("1", "lanes left out: failed, irregular, wrong, or above the founder weight", np.int32), along=_FORM
+        *("1", "number of lanes left out: failed, irregular, outlying, or above the founder weight", np.int32),
+        along=_FORM,
     ),
     "reason": Variable("1", "why a coefficient is not a number", np.int8, REASONS, along=_FORM),
     "r_squared_reason": Variable("1", "why r_squared is not a number", np.int8, REASONS, along=_FORM),
     "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS, along=_FORM),
-    "onset_force": Variable("N", "the force at the onset, eta0 D", along=_FORM),
-    "onset_force_stderr": Variable("N", "standard error of the force at the onset, eta0 D", along=_FORM),
+    "onset_force": Variable("N", "mean force at the onset of penetration, eta0 D", along=_FORM),
+    "onset_force_stderr": Variable("N", "standard error of onset_force", along=_FORM),
     "founder_weight": Variable("N", "mean force above which the rate does not rise"),
     "founder_weight_stderr": Variable("N", "standard error of the founder weight"),
-    "founder_fall": Variable("m s-1 N-1", "fall of the rate per mean force above the founder weight"),
-    "founder_fall_stderr": Variable("m s-1 N-1", "standard error of the fall"),
+    "founder_fall": Variable("m s-1 N-1", "decrease of the rate per unit of mean force above the founder weight"),
+    "founder_fall_stderr": Variable("m s-1 N-1", "standard error of founder_fall"),
     "noise_correlation": Variable("1", "correlation of the noise of neighbouring rows"),
     "data_threshold": Variable("N", "mean force at a relief of 1"),
     "data_relief": Variable("1", "relief of the lanes that were fitted", along=_LANE),
     "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted", along=_LANE),
-    "data_use": Variable("1", "what became of a lane", np.int8, USES, along=_LANE),
+    "data_use": Variable("1", "how the fit treats the lane", np.int8, USES, along=_LANE),
 }
 """Variables of a fit over its groups, and `along` its forms or lanes. `onset_force` needs an unknown threshold."""
 

@@ -232,7 +232,7 @@ def tolerance_variables(names: Container[str]) -> dict[str, Variable]:
     variables = dict(SAMPLE_VARIABLES)
     for name, (word, text) in product((name for name in QUANTITIES if name in names), _WORDS.items()):
         meaning = f"{text} {VARIABLES[name].long_name.removeprefix(f'{text} ')} of the samples"
-        where = f"sample with {name}_{word}; -1: the quantity exists nowhere"
+        where = f"number of the sample with {name}_{word}; -1: no sample has a value"
         variables[f"{name}_{word}"] = Variable(VARIABLES[name].units, meaning)
         variables[f"{name}_{word}_sample"] = Variable("1", where, np.int32)
     return variables
@@ -290,7 +290,7 @@ def tolerance(
 
 
 class Tolerances(MachineAnalysis[ToleranceBox]):
-    """Simulate a machine at samples of the box of its tolerances: regimes, extremes, and where they occur."""
+    """Simulate a machine at samples of its tolerance box: regimes, extremes, and where they occur."""
 
     kind = "tolerance"
     variables = SAMPLE_VARIABLES

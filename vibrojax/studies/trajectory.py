@@ -141,11 +141,13 @@ class Trajectories(MachineAnalysis[Point]):
 
     duration: float | None = setting(None, "simulated time, s", unit="s", above=0.0)
     sampling: float | None = setting(None, "interval of the samples, s", unit="s", above=0.0)
-    error: float | None = setting(None, "accepted relative error: 0.0001", above=0.0)
+    error: float | None = setting(None, "accepted relative error; default: 0.0001", above=0.0)
     method: str | Stepper | None = setting(None, "located, smoothed or diffrax", read=_named)
-    solver: str | Any | None = setting(None, "a solver of diffrax", read=_named)
-    step: float | None = setting(None, "greatest step, s", unit="s", above=0.0)
-    smoothing: float | None = setting(None, "width of the friction switch, m/s", unit="m s-1", above=0.0)
+    solver: str | Any | None = setting(None, "name of a diffrax solver", read=_named)
+    step: float | None = setting(None, "longest step, s", unit="s", above=0.0)
+    smoothing: float | None = setting(
+        None, "velocity over which the smoothed method spreads the jump of friction, m/s", unit="m s-1", above=0.0
+    )
 
     def machines(
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
