@@ -101,7 +101,7 @@ def result_options(default: str) -> tuple[AddArguments, ...]:
     )
 
 
-JSON = flag("--json", "print one JSON object and nothing else on stdout; numbers that are not finite become null")
+JSON = flag("--json", "print only one JSON object on stdout; non-finite numbers become null")
 
 
 def named_values(

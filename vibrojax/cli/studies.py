@@ -267,8 +267,7 @@ _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
     *result_options("FAMILY-NAME.nc"),
 )
 def curves(options: Options) -> None:
-    """Continue the special points of a family in a second parameter, as curves, and find the points where curves
-    meet."""
+    """Continue the special points of a family in a second parameter, as curves, and find where curves meet."""
     from vibrojax.io.dataset import open_dataset
     from vibrojax.studies.curve_analysis import curves_facts
     from vibrojax.studies.curves import continue_curves, read_curves

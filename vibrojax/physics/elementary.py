@@ -112,7 +112,7 @@ def absolute(x: Any) -> Any:
 
 
 def floor(x: Any) -> Any:
-    """Return the greatest whole number up to x.
+    """Return the greatest whole number not above x.
 
     In a `vj.System`, x may depend on the time and on parameters; the step ends where the result changes.
     """

@@ -34,12 +34,13 @@ class FrictionLaw:
     - `name`: name of the law in sweep files; `reference`: number of its equation in the source.
     - `parameters`: the law's own parameters, by name, from `vj.parameters.table`.
     - `mu`: function `mu(speed, p)`, the friction coefficient under the bit's weight at sliding speed `speed` >= 0
-      [m/s]; `p` has the law's own parameters by name. `mu(0, p)` is the limit mu(0+), which defines the stick limit.
-      The function uses +, -, *, / and the functions of [vibrojax.physics.elementary][], so that it accepts
-      arrays and Taylor series.
+      [m/s]; `p` has the law's own parameters by name. `mu(0, p)` is the limit mu(0+), which sets the greatest friction
+      force on a sticking bit. The function uses +, -, *, / and the functions of [vibrojax.physics.elementary][], so
+      that it accepts arrays and Taylor series.
     - `mu_impact`: the same for mu_J, the friction coefficient under the impact force J; default: `mu`.
     - `flat_below`: function `flat_below(p)`, a speed [m/s] below which `mu` is constant within rounding error although
-      it varies above. A Taylor series at such low speeds does not predict `mu` above. None: there is no such speed.
+      it varies above. A Taylor series at such a low speed does not predict `mu` at higher speeds. None: there is no
+      such speed.
 
     **Example:**
 

@@ -97,16 +97,16 @@ class Analysis(Settings):
     """
 
     subject: ClassVar[str] = "sweep"
-    """What the command reads: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
+    """Kind of input of the command: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
 
     kind: ClassVar[str] = ""
     """Attribute `kind` of the analysis's datasets, and name of its command."""
 
     command: ClassVar[str] = ""
-    """Name of the command, if it is not the kind."""
+    """Name of the command, if it differs from the kind."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """Variables that the analysis adds to those of sweeps, by name: units, meaning, type and flags of each."""
+    """Variables by name that the analysis adds to those of sweeps: units, meaning, type and flags of each."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
     """Picture rules for the analysis's datasets; the first rule that fits is used."""

@@ -255,9 +255,9 @@ class OrbitFunction:
     def reason(self, x: Any) -> str:
         """Return why the function is not valid at `x` (parameters,), or "none" where it is valid.
 
-        The first word is "undefined" (not a number, or the orbit lacks a feature or a derivative), "refused" (by
-        `simulate`, too), "no-orbit" (there is no first orbit), "beyond-branch" (the orbit ends on the way from the
-        first one) or "unstable".
+        The first word is "undefined" (`x` is not a number, or the orbit lacks a feature or a derivative), "refused"
+        (`simulate` rejects `x`, too), "no-orbit" (there is no first orbit), "beyond-branch" (the orbit ends on the way
+        from the first one) or "unstable".
         """
         check_untraced(Place("as_jax", "reason").error, x)
         return self._branch.reason(np.array(self._checked(np.asarray(x)), float))
@@ -303,9 +303,9 @@ def as_jax(
     Second derivatives are not available.
 
     The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
-    stable, and `simulate` admits the parameters. Elsewhere the result belongs to the last orbit on the straight line
-    from the first one, up to 1e-7 of the line. An orbit that has become unstable is continued, with a positive
-    `margin`, so that stability can be a smooth constraint. `f.reason(x)` returns the reason as text.
+    stable, and `simulate` admits the parameters. Elsewhere the result is that of the last such orbit on this line,
+    located to 1e-7 of its length. An orbit that has become unstable is continued, with a positive `margin`, so that
+    stability can be a smooth constraint. `f.reason(x)` returns the reason as text.
 
     Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument, at
     least float32.

@@ -306,14 +306,14 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
         runs = {"v": [1.2, 1.5, 1.8], "period": [...], "impact_velocity": [...]}
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
-    Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed values
-    of variables of the orbit (period, forces, velocities, powers, rates). Motions from `start` are simulated at a
-    sample of points inside the bounds. From the best points, the orbit is continued to all rows, and SciPy's
-    `least_squares` minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end
-    of a search are left out; the likelihood selects among the ends of searches.
+    Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed
+    variables of the orbit (period, forces, velocities, powers, rates). Motions from `start` are simulated at a sample
+    of points inside the bounds. From the best points, the orbit is continued to all rows, and SciPy's `least_squares`
+    minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end of a search are
+    left out; the result with the greatest likelihood is kept.
 
-    A recorded velocity of the bit over time, beside the rows or in place of them, is compared with the motion itself.
-    The state at its first sample is fitted too, unless it is given.
+    A recording of the bit's velocity over time, in addition to the rows or instead of them, is compared with the
+    simulated motion. The state at its first sample is fitted too, unless it is given.
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
@@ -328,14 +328,15 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
       `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In `drilling`, `C` [m/s] may be unknown too:
       then `rate_of_penetration` is C ln(relief).
     - `history`: dataset of `simulate`, table, or path of a CSV or NetCDF file. Its columns are `time` [s] and `v1`
-      [m/s], the velocity of the bit relative to the drive; headers may have other units, as in `v1 (mm/s)`. `x1`, `x2`,
-      `v2` begin the search for the first state. A table `[history]` has this as `data`, and optionally `columns` (NAME
-      = COLUMN), `window` (begin and end [s]), `start` (the state at the first sample) and the operating conditions that
-      are columns of the rows. `[error]` v1 is the standard error [m/s] of a sample.
+      [m/s], the velocity of the bit relative to the drive; headers may have other units, as in `v1 (mm/s)`. Columns
+      `x1`, `x2`, `v2` are initial guesses of the first state. A table `[history]` instead holds the recording as
+      `data`, and optionally `columns` (NAME = COLUMN), `window` (begin and end [s]), `start` (the state at the first
+      sample) and the operating conditions that are columns of the rows. `[error]` v1 is the standard error [m/s] of a
+      sample.
     - `[unknown]` NAME = [low, high]; `[prior]` NAME = [mean, standard deviation]; `[error]` NAME = standard error of a
-      variable. Without errors, all values have the same relative error, which the residuals give; a value below a
-      hundredth of its variable's mean size has the error of that hundredth.
-    - `searches` (3), `draws` (1000), `seed` (0), `title`.
+      variable. Without given errors, all values have the same relative error, estimated from the residuals; a value
+      below a hundredth of its variable's mean size has the error of a value of that size.
+    - `searches` (default 3), `draws` from the posterior (1000), `seed` (0), `title`.
 
     **Returns:** a dataset with `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to `estimate_high`,
     and `reason` along `parameter`; `correlation`, `direction` and `direction_error` along `combination`, `posterior`

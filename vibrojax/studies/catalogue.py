@@ -42,7 +42,7 @@ def scene_rows() -> dict[str, dict[str, str]]:
 
 
 def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of a scene's parameters by name, with those of all friction laws and with alternative parameters.
+    """Return a table of a scene's parameters by name, including those of friction laws and alternatives such as `rpm`.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
     is the range in the source and on drilling rigs; values far from it cause a warning. `where` is the friction law or

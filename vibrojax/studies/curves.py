@@ -61,15 +61,15 @@ def curves(
     at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """Continue the special points of families of orbits in a second parameter, as curves in the plane of both.
+    """Continue the special points of families of orbits in a second parameter, as curves in the plane of the two.
 
     Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
-    bound. The family's parameter keeps its bounds. Points of codimension two are located and named. The other curves
-    that begin there are followed, up to a limit that notes mention.
+    bound. The bounds of the family's parameter are those of `follow`. Points of codimension two are located and named.
+    Other curves that begin at these points are followed, too, up to a maximum number that `curve_note` mentions.
 
     **Arguments:**
 
-    - `family`: result of `follow`; one of equilibria (`cycles=0`) has no curves.
+    - `family`: result of `follow`, but not a family of equilibria (`cycles=0`).
     - `by`: second parameter; `span`: its lower and upper bound, which enclose its value in the family.
     - `special`: index of one special point of the family, or several; by default all that can be continued.
     - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which curves pass this value are

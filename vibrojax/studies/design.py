@@ -334,10 +334,10 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
         best = vj.design("design.toml")
         best.isel(candidate=0)
 
-    A coarse map gives the points from which SLSQP begins, with the derivatives of the periodic orbits. Simulations then
-    search around each optimum. Candidates are simulated again from every start, at all corners of the tolerance box and
-    at 256 draws. Worst values are those of these samples, not bounds of the box; if `irregular_share` is above 0, they
-    also depend on the time of observation.
+    SLSQP begins at the best points of a coarse map and uses the derivatives of the periodic orbits. Simulations then
+    search the neighbourhood of each optimum. Candidates are simulated again from every start, at all corners of the
+    tolerance box and at 256 random points in it. Worst values are the worst over these samples, not over the whole box;
+    if `irregular_share` is above 0, they also depend on the time of observation.
 
     **Arguments:**
 
@@ -347,15 +347,15 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     **Returns:** a dataset along `candidate`, best first:
 
-    - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst` of the samples
-      of the tolerances, by which a robust design is ranked; the variables of the subject, each at the nominal point
-      and as `NAME_worst`; `feasible`.
+    - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst`, the worst over
+      the samples of the tolerances, by which a robust design is ranked; the variables of the subject, each at the
+      nominal point and as `NAME_worst`; `feasible`.
     - `gradient` along `parameter`.
-    - with a front: along `front`, `front_objective`, the varied parameters, and what the front is drawn against.
+    - if `front` is given: along `front`, the limit that varies, `front_objective` and the varied parameters.
     - along `map`: the coarse map.
 
-    **Raises:** `InputError` for an invalid design, if there is no feasible point, or if the objective is 0 at all of
-    them.
+    **Raises:** `InputError` for an invalid design, if there is no feasible point, or if the objective is 0 at all
+    feasible points.
 
     **Example:**
 

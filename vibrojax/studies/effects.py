@@ -228,7 +228,7 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
 
 
 def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
-    """Find which parameters, and which pairs of them, decide about a machine's performance within a box of values.
+    """Find which parameters, and which pairs of them, determine a machine's performance within a box of values.
 
         ds = vj.study("drill")
         ds.total_order.sel(of="impact_energy").to_pandas()
@@ -241,17 +241,19 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
     - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. It has a `scene`;
       `of`, a list of variables of the scene's sweeps, or "share_single_impact"; and [vary] with NAME = [low, high] for
       up to twelve parameters. Optional are [parameters], `starts` and [run] as in a sweep, `samples` (base samples, a
-      power of two: 256) and `seed` (0). D parameters take (2 D + 2) lanes per base sample and start.
+      power of two; default 256) and `seed` (default 0). D parameters need (2 D + 2) lanes per base sample and start.
 
     **Returns:** a dataset over `of`, `parameter` and `other` (the parameters again).
 
     - `first_order`, `total_order`: shares of the variance due to a parameter alone, and with all its interactions, with
-      95 % confidence intervals `first_order_conf` and `total_order_conf`. `second_order`: share of a pair.
-    - `effect`: mean of the variable at the high level of a parameter minus that at the low level. `interaction`: half
-      the difference of this effect between the high and the low level of the other parameter.
-    - `mean`, `std`: of the variable over the box. `share_single_impact`, `regime_share`: shares of regimes.
-    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners that are
-      treated by rule, which the attribute `rules` states. `sobol_reason`: why there are no Sobol indices.
+      95 % confidence intervals `first_order_conf` and `total_order_conf`. `second_order`: share due to the interaction
+      of a pair.
+    - `effect`: mean of the variable at the high level of a parameter minus its mean at the low level. `interaction`:
+      half the difference of this effect between the high and the low level of the other parameter.
+    - `mean`, `std`: mean and standard deviation of the variable over the box. `share_single_impact`, `regime_share`:
+      shares of lanes with a single impact and in each regime.
+    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners to which the
+      rules in the attribute `rules` apply. `sobol_reason`: why there are no Sobol indices.
 
     **Raises:** `InputError` if the study is invalid, or SALib is not installed.
 

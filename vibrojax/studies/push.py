@@ -161,21 +161,21 @@ def smallest_push(
         push.push_v2.sel(sign=1)  # m/s that are added to the striker's velocity
 
     The working cycle is the periodic orbit on which the motion settles. A push is a sudden change of one state
-    variable, in either direction, when the cycle crosses its section (the bit overtakes the drive). The motion then
-    settles for the time `settle`, six times as long if it is irregular, and is observed for the time `observe`. A push
-    after which the motion does not return to the cycle is called leaving.
+    variable, in either direction, when the cycle crosses the section (the bit overtakes the drive). The motion then
+    settles for `settle`, six times as long if it is irregular, and is observed for `observe`. A push after which the
+    motion does not return to the cycle is called a *leaving* push.
 
-    A first scan tries pushes up to a bound. Further scans below the smallest leaving push follow, until they find no
-    smaller one. The bracket of this push is then narrowed. A hole of the basin that is narrower than the spacing of the
-    scans is missed.
+    A first scan tries pushes up to a bound. Further scans try smaller pushes than the smallest leaving push, until none
+    of them leaves. The interval between this push and the next smaller one is then narrowed. A hole in the basin of the
+    cycle that is narrower than the spacing of the scans is missed.
 
     **Arguments:**
 
-    - `scene`: name of a scene, or a scene, with a drill; `parameters`: any of its parameters (SI), as in `simulate`.
-      Sequences of equal length define several working cycles along the dimension `point`, pushed in one batch.
+    - `scene`: a scene with a drill, or its name; `parameters`: any of its parameters (SI), as in `simulate`. Sequences
+      of equal length define several working cycles along the dimension `point`, pushed in one batch.
     - `start`: initial condition of the motion that settles on the cycle, by default the scene's first.
-    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). By default it is the
-      peak-to-peak range of a position over the cycle, and for a velocity that of its position times 2 pi/period.
+    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). The default is, for a position,
+      its peak-to-peak range over the cycle and, for a velocity, the range of its position times 2 pi/period.
     - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation; by default as in a sweep of the scene.
 

@@ -113,16 +113,17 @@ def fit_rop(
     where: Where = None,
     nulls: Nulls = None,
 ) -> xr.Dataset:
-    """Fit the rate-of-penetration law (source, eq. 6.4) in three readings, and three rivals, to each group of lanes.
+    """Fit six forms of the rate-of-penetration law to each group: three readings of eq. 6.4 and three rivals.
 
-    A lane whose rate is zero is censored: it contributes only where a form of the law predicts a positive rate. Lanes
-    that failed, are irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for
-    noise of constant size and for noise proportional to the rate.
+    A form is a formula for the rate over the relief. A lane whose rate is zero is censored: it contributes only where a
+    form predicts a positive rate. Lanes that failed, are irregular or have no usable values are left out and counted.
+    Standard errors (HC3) are valid for noise of constant size and for noise proportional to the rate.
 
-    For rows of a rig log, the loss is robust. If the data show a founder weight, the forms are fitted to the rows below
-    it. From 30 rows on, wrong rows are left out and listed (attribute `left_out_rows`). From 50 rows on, the
-    fit accounts for correlated noise of neighbouring rows: leaving out blocks of rows gives the standard errors, and
-    the forms are compared by their predictions of each block from all others (`cv_error`).
+    For rows of a rig log, the loss is robust. If the data show a founder weight, above which the rate does not rise,
+    the forms are fitted to the rows below it. From 30 rows on, outlying rows are left out and listed (attribute
+    `left_out_rows`). From 50 rows on, the fit accounts for correlated noise of neighbouring rows: leaving out blocks of
+    rows gives the standard errors, and the forms are compared by their predictions of each block from all others
+    (`cv_error`).
 
     **Arguments:**
 
@@ -141,13 +142,14 @@ def fit_rop(
     - `where`, `nulls`: only for a rig log; as in `read_log`.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
-    r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` and `reason`. A coefficient is
-    NaN if the form does not have it or the lanes do not identify it. Over the groups: `founder_weight` [N] with its
-    standard error, NaN if there is none, and `founder_fall` [m/s/N], the fall above it. The attribute `verdict` is the
-    form that the data of all groups support, or "none"; `left_out_rows` lists wrong rows of a log. Over the groups and
-    `lane`, the dataset holds the data: data_relief [1], data_rate_of_penetration [m/s], and `data_use`.
+    r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` (result of the comparison of
+    the forms) and `reason`. A coefficient is NaN if the form does not have it or the lanes do not identify it. Over the
+    groups: `founder_weight` [N] with its standard error, NaN if there is none, and `founder_fall` [m/s/N], the decrease
+    of the rate per force above it. The attribute `verdict` is the form that the data of all groups support, or "none";
+    `left_out_rows` lists outlying rows of a log. Over the groups and `lane`, the dataset holds the data: data_relief
+    [1], data_rate_of_penetration [m/s], and `data_use`.
 
-    **Raises:** `InputError`.
+    **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 
     **Example:**
 

@@ -246,14 +246,14 @@ def tolerance(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """Simulate a machine at samples of the box of its parameter tolerances, and return their extremes and regimes.
+    """Simulate a machine at samples of the box of its parameter tolerances, and return the extremes and regimes.
 
         box = vj.tolerance("vibro-impact", beta=0.4, gamma=(0.75, 0.01), delta=(0.005, 0.001))
         box.impact_velocity_least  # m/s, the worst of the samples from each start
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
-    Each sample runs from every start. A search around the extreme samples of periodic motions, along the parameters and
-    their sensitivities, adds more extreme points. The extremes are not bounds of the box.
+    Each sample runs from every start. A search around the most extreme periodic samples, along each parameter and along
+    the gradient, adds more extreme points. The extremes are not bounds of the box.
 
     **Arguments:**
 

@@ -33,7 +33,7 @@ class Impact:
       by minus this coefficient (Newton's law, also for a stop that moves).
     - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)`, or `reset(t, y, p, s)` with the
       sides of switches and the discrete states, that returns new values of states and discrete states by name. Such a
-      stop cannot hold the motion: bounces that accumulate end as a failed lane.
+      stop cannot hold a body at rest: a lane whose bounces accumulate fails.
     - `direction`: with a `reset`, -1 or 1 for an event that happens where the gap falls or rises through zero. The gap
       may then have both signs, and nothing happens in the other direction.
 
@@ -78,8 +78,8 @@ class Switch:
     """A surface on which the field changes.
 
     - `function`: function `function(t, y, p)`, positive on one side of the surface and negative on the other.
-    - `impact`: True for a soft contact, which begins where the function becomes positive. This is counted as an impact
-      with the rate of change of the function as its velocity.
+    - `impact`: True for a soft contact, which begins where the function becomes positive. This counts as an impact; its
+      velocity is the rate of change of the function.
 
     The field takes a fourth argument `s`; `s[name]` is the side, 1 or -1. Where the fields of both sides push towards
     the surface, the motion slides along it by Filippov's convex combination of the two fields. Sliding ends when one
