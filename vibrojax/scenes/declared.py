@@ -116,13 +116,12 @@ class Swing(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """The Poincaré section: zeros of the velocity of the first of the `swings`, or of the state `at`.
+    """The Poincaré section: the zeros of the state `at`, or else of the velocity of the first of the `swings`.
 
-    The state needs a marker and crosses zero upwards if `rising`, else downwards. Between two section crossings the
-    state must have passed the level `rearm(constants)` in the other direction. A velocity that fluctuates about zero is
-    thus counted once. Periodicity is checked on the positions of all `swings` and on the velocities of all but the
-    first. Positions are scaled by the amplitude, velocities by the amplitude times 2 pi over the time between
-    crossings.
+    The state needs a marker and crosses zero upwards if `rising`, else downwards. Between two crossings it must have
+    passed the level `rearm(constants)` in the other direction, so that a velocity that fluctuates about zero is counted
+    once. Periodicity is checked on the positions of all `swings` and on the velocities of all but the first. Positions
+    are scaled by the amplitude, velocities by the amplitude times 2 pi over the time between crossings.
 
     A periodically forced motion becomes autonomous with one additional state, the forcing's phase. A guard must reduce
     this phase by one full period, at a phase other than zero. A section `at` the phase is stroboscopic.

@@ -226,7 +226,7 @@ _INTERRUPTED = Event()
 class OrbitFunction:
     """Function of an array of parameters that gives features of a periodic orbit, made by [vibrojax.as_jax][].
 
-    `f(x)` returns the dict that [vibrojax.as_jax][] describes, and `f.reason(x)` why f is not valid at x.
+    `f(x)` returns the dict that [vibrojax.as_jax][] describes, and `f.reason(x)` the reason why f is not valid at x.
     """
 
     def __init__(self, branch: Branch, of: Sequence[str], outside: str) -> None:

@@ -80,7 +80,8 @@ def attractors(
         att = vj.attractors(ds)
 
     Two lanes of a grid point have the same motion if their orbits are equal, or, for irregular lanes, if their
-    statistics over a longer observation agree. The dataset's attribute `attractors` states the resolution.
+    statistics over a longer observation agree. The dataset's attribute `attractors` states the resolution of this
+    comparison.
 
     Motions of neighbouring points are the same attractor if the orbit of one, continued to the other's parameters,
     becomes the orbit of the other. The numbers of the attractors do not depend on the order of values on an axis;

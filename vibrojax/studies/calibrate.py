@@ -317,8 +317,8 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
-    The eigenvectors of the Fisher information J'J, in logarithms of positive parameters, are combinations of powers of
-    the parameters, each with its relative error. The posterior is the normal approximation in these logarithms, or
+    Each eigenvector of the Fisher information J'J, in logarithms of positive parameters, is a product of powers of the
+    parameters; the result gives its relative error. The posterior is the normal approximation in these logarithms, or
     Student's t if the residuals give the error of the observations.
 
     **Arguments:** `source`: path of a TOML file, or a dict, with

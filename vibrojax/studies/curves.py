@@ -80,7 +80,7 @@ def curves(
     - Along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time between
       section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
     - Along `curve`: `kind`, `special` (the index in the family, -1 if the curve begins at a point of codimension two),
-      and `curve_note` on that point, on the ends of the curve, and on other special points that it passes.
+      and `curve_note`, remarks on that point, on the ends of the curve, and on other special points on it.
     - Along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
       parameters.
     - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.

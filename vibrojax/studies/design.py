@@ -337,7 +337,7 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
     SLSQP begins at the best points of a coarse map and uses the derivatives of the periodic orbits. Simulations then
     search the neighbourhood of each optimum. Candidates are simulated again from every start, at all corners of the
     tolerance box and at 256 random points in it. Worst values are the worst over these samples, not over the whole box;
-    if `irregular_share` is above 0, they also depend on the time of observation.
+    if `irregular_share` is above 0, they also depend on the duration of the observation.
 
     **Arguments:**
 

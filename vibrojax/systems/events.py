@@ -113,8 +113,8 @@ class Friction:
     - `law`: a friction law or the name of one of `vj.FRICTION_LAWS`, whose parameters become parameters of the system;
       or a constant coefficient, a number or a function of `p`.
     - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
-    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; left out, it is that of
-      the law at rest.
+    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; by default, the
+      coefficient of the law at rest.
     - `lift_off`: True if a negative normal force counts as zero. Otherwise it ends the motion with a reason, because
       friction would drive the body.
 

@@ -60,8 +60,8 @@ class System(SystemScales):
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
     - `modes`: initial value of each discrete state by name. The resets of events change them; the field and other
       functions read them as `s[name]`. In datasets they are among the states.
-    - `rate`: function of `p` that returns the fastest rate of change [1/s]; left out, it is the spectral radius of the
-      field's Jacobian at the initial state.
+    - `rate`: function of `p` that returns the fastest rate of change [1/s]; by default, it is the spectral radius of
+      the field's Jacobian at the initial state.
     - `regimes`: the system's own names of regimes, such as `{"periodic": "rocking"}`.
 
     The default initial condition is zero in all states. Trajectories have the states' names.
