@@ -94,16 +94,16 @@ OF_FAMILIES: dict[str, Variable] = {
 """Variables in addition to those of orbits and measures; the last two exist only for several families."""
 
 OF_BORDERS: dict[str, Variable] = {
-    "curve": Variable("1", "number of the curve", np.int32),
+    "curve": Variable("1", "number of the curve on which the vertex lies", np.int32),
     "kind": Variable("1", "why the region of the stable single impact ends at this curve", np.int8, BORDER_KINDS),
     "region_area": Variable("1", "share of the plane with a stable single impact"),
     "continued": Variable("1", "1: computed by continuation; 0: joins points located between grid points", np.int8),
     "curve_note": Variable("", "where and why the curve ends, or why the border was not continued", np.str_),
-    "crossing_curve": Variable("1", "number of the curve that crosses the line", np.int32),
+    "crossing_curve": Variable("1", "number of the curve that passes the given value", np.int32),
 }
 
 OF_CURVES: dict[str, Variable] = {
-    "point_curve": Variable("1", "number of the curve", np.int32),
+    "point_curve": Variable("1", "number of the curve on which the point lies", np.int32),
     "kind": Variable("1", "kind of the special points that the curve consists of", np.int8, SPECIAL_KINDS),
     "special": Variable(
         "1", "index of the family's special point at which the curve begins; -1: it begins elsewhere", np.int32
@@ -111,7 +111,7 @@ OF_CURVES: dict[str, Variable] = {
     "curve_note": Variable("", "where and why the curve ends", np.str_),
     "codim2_kind": Variable("", "name of the point of codimension two", np.str_),
     "codim2_curve": Variable("1", "number of the curve on which the point lies", np.int32),
-    "crossing_curve": Variable("1", "number of the curve that crosses the line", np.int32),
+    "crossing_curve": Variable("1", "number of the curve that passes the given value", np.int32),
 }
 """Variables in addition to those of orbits."""
 

@@ -43,7 +43,7 @@ def run_sweep(
     - `executor`: the object that computes the parts of the sweep: any `concurrent.futures.Executor` with spawned
       processes, such as `ProcessPoolExecutor(4, mp_context=multiprocessing.get_context("spawn"))`, `dask.distributed`'s
       `client.get_executor()`, or an executor of loky, MPI or submitit. None: this process, on all its cores. The
-      results do not depend on it, to the last bit.
+      results of all executors are bitwise equal.
 
     **Returns:** the dataset, over the grid's dimensions and `start`.
 

@@ -219,8 +219,8 @@ def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> 
     **Arguments:**
 
     - `source`: input of the analysis: a dataset, or a sweep as `run_sweep` accepts it.
-    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. From then on, `picture` and the
-      other functions support its datasets in this process.
+    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. Afterwards, `picture` and the other
+      functions support its datasets in this process.
 
     **Returns:** the dataset, with the attribute `kind`.
 

@@ -105,7 +105,7 @@ def attractors(
     - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
     - Over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor` and
       `named_regime`, the attractor and the regime to which the scene's initial conditions `drive` and `stuck` lead.
-      They do not count in `share`.
+      These do not count in `share`.
 
     **Raises:** `InputError` unless `source` is a sweep over a grid and `start`, and its scene has a section.
 

@@ -301,7 +301,7 @@ def _percent(share: float) -> str:
 
 
 def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
-    """Estimate parameters of a drill from observations of its motion, by gradients through all events.
+    """Estimate parameters of a drill from observations of its motion, with gradients that pass through all events.
 
         runs = {"v": [1.2, 1.5, 1.8], "period": [...], "impact_velocity": [...]}
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})

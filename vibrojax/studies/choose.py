@@ -59,8 +59,8 @@ def picture(
       sweep along the same parameter, with or without `carry`. Borders, from `borders`, are drawn over the map of
       regimes.
     - `diagram`: name of a diagram to draw instead. "campbell" draws the frequencies of a sweep's motions, the natural
-      frequencies and the multiples of the rotation over the speed; "rate-over-force" the rate of penetration over the
-      mean force; "chart" the region of the robust single impact over two parameters.
+      frequencies and the multiples of the rotation frequency over the speed; "rate-over-force" the rate of penetration
+      over the mean force; "chart" the region of the robust single impact over two parameters.
     - `width`: width of the picture, such as "85mm" or "170mm" for a column or a page of a journal, or a number of
       millimetres.
 

@@ -75,7 +75,7 @@ SCHEMA = {
     "evidence_against": Variable(
         *(
             "1",
-            "AIC, or 2 n ln(cv_error), minus its least value; rejected above 5.4 (a special case: 8.8), of a sweep 2",
+            "AIC, or 2 n ln(cv_error), minus its least value; rejected above 5.4 (special case: 8.8; sweep: 2)",
         ),
         along=_FORM,
     ),

@@ -115,8 +115,8 @@ class Friction:
     - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
     - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; by default, the
       coefficient of the law at rest.
-    - `lift_off`: True if a negative normal force counts as zero. Otherwise it ends the motion with a reason, because
-      friction would drive the body.
+    - `lift_off`: True if a negative normal force counts as zero. Otherwise such a force ends the motion with a reason,
+      because friction would drive the body.
 
     **Example:**
 
