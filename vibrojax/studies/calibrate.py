@@ -270,7 +270,7 @@ class Calibrations(FileAnalysis[Calibration]):
         elif freedom > 0:
             rms = float(np.sqrt(ds["chi_squared"] / freedom))
             doubt = ": the model, the motion or the errors are wrong" if rms > LARGE_RESIDUAL else ""
-            lines.append(f"the residuals are {rms:.2g} standard errors{doubt}")
+            lines.append(f"the residuals are {rms:.3g} standard errors{doubt}")
         nonlinearity = float(ds["nonlinearity"])
         if nonlinearity > WELL_DETERMINED:
             lines.append(
@@ -297,7 +297,7 @@ class Calibrations(FileAnalysis[Calibration]):
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %"
+    return f"{100 * share:.3g} %"
 
 
 def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:

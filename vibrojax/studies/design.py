@@ -268,7 +268,7 @@ class Designs(FileAnalysis[DesignSpec]):
         what = str(ds.attrs.get("maximise", "objective")).replace("_", " ")
         share = float(best["irregular_share"]) if "irregular_share" in best else 0.0
         lines = [
-            f"irregular motions within the tolerances ({100 * share:.2g} % of the lanes): worst values depend on the "
+            f"irregular motions within the tolerances ({100 * share:.3g} % of the lanes): worst values depend on the "
             "time of observation"
         ] * (share > 0)
         lines.append(f"{what} {_best_text(ds)} at {_place_text(best, names)}")

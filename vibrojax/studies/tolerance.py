@@ -297,7 +297,8 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
     pictures = (PictureRule("extremes of the samples of a tolerance box", lambda held: True, extremes_picture),)
     view = "plots"
     run_settings = ("settle", "observe", "error")
-    file, lists, tolerances = "SCENE-tolerance.nc", False, True
+    file, numbered = "SCENE-tolerance.nc, SCENE-tolerance-2.nc, ...", True
+    lists, tolerances = False, True
 
     def machines(
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
@@ -400,7 +401,7 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         facts, lines = {}, list[str]()
         if (shares > 0).any():
             where = [
-                f"{100 * x:.2g} % of the samples" + f" from {start}" * bool(start)
+                f"{100 * x:.3g} % of the samples" + f" from {start}" * bool(start)
                 for x, start in zip(shares, starts, strict=True)
             ]
             lines.append(

@@ -297,7 +297,7 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
         last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
     drift = values.get("drift_estimate", math.nan)
     if drift > REPORTED_DRIFT:
-        far = f"by some {100 * drift:.2g} %" if math.isfinite(drift) else "and its returns do not tell how far"
+        far = f"by some {100 * drift:.3g} %" if math.isfinite(drift) else "and its returns do not tell how far"
         last += f"; still on its way to where it settles, {far}: a longer duration brings it there"
     return [*lines, last]
 
@@ -315,7 +315,7 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         advice = at_rest if still else "give a longer duration"
         if returns > 1:
             observed, last = run_of(ds)["observe"], float(ds["time"][-1])
-            advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.2g}"
+            advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.3g}"
         count = (
             f"{returns} returns to the section are" if returns > 1 else ("one return is", "no return is")[not returns]
         )
@@ -381,6 +381,6 @@ def _rock_below_threshold(ds: xr.Dataset, threshold: float) -> str:
         return "the rock does not yield"
     change = "a greater v" if "impact_velocity" in ds else "a greater force"
     return (
-        f"the rock force reaches {force / 1e3:.4g} kN, {force / threshold:.2g} of the threshold D = "
+        f"the rock force reaches {force / 1e3:.4g} kN, {force / threshold:.3g} of the threshold D = "
         f"{threshold / 1e3:.4g} kN at which the rock yields; a softer rock or {change} raises it"
     )
