@@ -77,8 +77,8 @@ class Guard:
       multiple of the rounding error of a typical value.
     - `slope_resolution`: function `slope_resolution(constants, mode, h)`, the magnitude up to which the first-order
       change over a step `h` [s] counts as zero if the step starts on the guard; None: 16 times `resolution`.
-    - `is_switch`: True for the jump of dry friction, which a smoothing stepper spreads, so that the guard is never
-      reached.
+    - `is_switch`: True for a jump of the field, such as that of dry friction, which a smoothing stepper spreads over a
+      width, so that the guard is never reached.
 
     **Example:**
 

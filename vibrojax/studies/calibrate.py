@@ -310,7 +310,7 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     variables of the orbit (period, forces, velocities, powers, rates). Motions from `start` are simulated at a sample
     of points inside the bounds. From the best points, the orbit is continued to all rows, and SciPy's `least_squares`
     minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end of a search are
-    left out; the result with the greatest likelihood is kept.
+    left out; the search that ends with the greatest likelihood is kept.
 
     A recording of the bit's velocity over time, in addition to the rows or instead of them, is compared with the
     simulated motion. The state at its first sample is fitted too, unless it is given.

@@ -253,7 +253,7 @@ def tolerance(
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
     Each sample runs from every start. A search around the most extreme periodic samples, along each parameter and along
-    the gradient, adds more extreme points. The extremes are not bounds of the box.
+    the signs of the gradient, adds more extreme points. The extremes are not bounds of the box.
 
     **Arguments:**
 
