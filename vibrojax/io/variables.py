@@ -185,7 +185,7 @@ VARIABLES: dict[str, Variable] = {
     ),
     "orbit_reason": Variable("1", "result of the search for the orbit", np.int8, ORBIT_REASONS),
     "nearby_cycles": Variable(
-        "1", "returns after which a stable orbit near an unsettled lane repeats (0: none was found)", np.int8
+        "1", "number of returns after which a stable orbit near an unsettled lane repeats (0: none found)", np.int8
     ),
     "nearby_impacts": Variable("1", "impacts in one repeat of the nearby stable orbit"),
     "nearby_distance": Variable(

@@ -43,7 +43,7 @@ class Sweep:
     - `parameters`: all fixed values by name, in SI units. `given`: those that the user specified.
     - `axes`: values (values,) of each axis of the grid, in the order of the file; empty if only the initial condition
       varies.
-    - `points`: columns (points,) of a table of points, which replaces a grid.
+    - `points`: columns (points,) of a table of points, used in place of a grid.
     - `run`: settings of the run.
 
     Fixed `rpm` and `bit_radius` appear in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters`

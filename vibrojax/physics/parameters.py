@@ -132,7 +132,7 @@ def substitutes(parameters: Mapping[str, Parameter]) -> dict[str, Parameter]:
 
 
 def resolved(values: Mapping[str, Any], names: Collection[str] = tuple(REPLACED)) -> dict[str, Any]:
-    """Return `values` with the quantities in `names` replaced by the parameters that follow from them, if known.
+    """Return `values` in which parameters replace the quantities in `names` from which they follow, if these are there.
 
     These are v = 2 pi rpm/60 bit_radius [m/s], k1 = m1 (2 pi bit_frequency)², and gamma = 2 pi striker_frequency
     sqrt(m1/k1).

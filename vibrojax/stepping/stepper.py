@@ -152,7 +152,7 @@ class Stepper(ABC):
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
-        """Return the lanes after one step, and the step; if `marked`, steps end on markers in addition to guards."""
+        """Return the lanes after one step, and the step; if `marked` is true, steps end on markers besides guards."""
 
     @abstractmethod
     def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:

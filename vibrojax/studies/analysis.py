@@ -109,7 +109,7 @@ class Analysis(Settings):
     """Variables by name that the analysis adds to those of sweeps: units, meaning, type and flags of each."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
-    """Picture rules for the analysis's datasets; the first rule that fits is used."""
+    """Rules that choose the picture of a dataset of the analysis; the first that fits applies."""
 
     counted: ClassVar[str] = ""
     """Dimension of the analysis's datasets whose size the command prints."""

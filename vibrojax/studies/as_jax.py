@@ -295,9 +295,9 @@ def as_jax(
         f(jnp.array([0.4, 0.75]))  # {"impact_energy": ..., "margin": ..., "grazing_margin": ..., "valid": ...}
         jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
 
-    At its first use, the function finds the first orbit: the one on which the motion from `start` settles at the point
-    `at`. Further calls continue this orbit on the straight line to their point, so a result does not depend on other
-    calls. Without `at`, the first point that is evaluated takes its place. The gradients are those of
+    At its first use, the function finds the first orbit, on which the motion from `start` settles if the parameters
+    have the values `at`. Further calls continue this orbit on the straight line to their point, so a result does not
+    depend on other calls. Without `at`, the first point that is evaluated takes its place. The gradients are those of
     [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work, and so do `jax.jacfwd` and `jax.jacrev` of the
     features, without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`.
     Second derivatives are not available.

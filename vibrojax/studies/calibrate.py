@@ -343,7 +343,7 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     along `draw`; `observed`, `predicted`, `residual` and `used` (1 or 0) along `observation`, with `time` for samples
     of a history; `first_state` along `state`, if it is fitted; attribute `error_model`.
 
-    **Raises:** `InputError` for invalid input, too few observations with an orbit, or if no search reaches a minimum.
+    **Raises:** `InputError` if the input is invalid, too few observations have an orbit, or no search converges.
 
     **Example:**
 

@@ -84,18 +84,18 @@ def follow(
 
     **Returns:** a dataset.
 
-    - Along `point`: the parameter, `branch` (0 is the first branch), `stable`, `multiplier_abs` and `multiplier_arg`
-      [rad] along `multiplier`, and `grazing_margin`. `cycles` is the number of section crossings per period of the
-      motion, `period` [s] the mean time between crossings, and `impacts` the number of impacts per period of the
-      motion. Further variables are the state at the section (`orbit_x1` and so on) and the scene's measures.
+    - Along `point`: the parameter, `branch` (0 is the first branch), `stable`, `grazing_margin`, and the multipliers
+      `multiplier_abs` and `multiplier_arg` [rad]. `cycles`: section crossings per period of the motion; `period` [s]:
+      mean time between crossings; `impacts`: impacts per period of the motion. Further variables are the state at the
+      section (`orbit_x1` and so on) and the scene's measures.
     - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, branch-point, end,
       or the name of a system's switch), `special_value` (of the parameter), `special_branch`, and `special_note`.
 
-    At a *grazing* point, an impact, or another event that does not begin or end a stick phase, appears or vanishes. For
-    events other than impacts, the note names the mode that changes. Multipliers at a special point are those on the
-    side from which the point was reached, or, if orbits exist only on the side without the impact, those on that side.
-    Next to a grazing impact, multipliers are valid over a very small distance only. A branch that connects two period
-    doublings is listed once.
+    At a *grazing* point, an event appears or vanishes: an impact, or another event except the begin or end of a stick
+    phase. For events other than impacts, the note names the mode that changes. Multipliers at a special point are those
+    on the side from which the point was reached, or, if orbits exist only on the side without the impact, those on that
+    side. Next to a grazing impact, multipliers hold for very small perturbations only. A branch that connects two
+    period doublings is listed once.
 
     Families of autonomous systems without events do not depend on the section: they are solved over parts of the period
     (multiple shooting), with a phase condition that is updated along the family. The mirror image of an orbit is listed
@@ -104,8 +104,8 @@ def follow(
     A family of equilibria has `cycles` 0, NaN as `period`, and the states of the equilibrium in place of those at the
     section. Instead of multipliers it has the eigenvalues of the field's derivative, `eigenvalue_re` and
     `eigenvalue_im` [1/s] along `eigenvalue`, by falling real part. Its special points are fold, branch-point, hopf and
-    end. Where the formula of the field changes, the kind is *grazing* or the name of the switch, and the family may
-    turn back. If several families are computed, one whose first equilibrium is not found has no points.
+    end. If an equilibrium reaches a surface on which the field changes, `special_kind` is *grazing* or the name of the
+    switch. If several families are computed, one whose first equilibrium is not found has no points.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 

@@ -165,9 +165,9 @@ def smallest_push(
     settles for `settle`, six times as long if it is irregular, and is observed for `observe`. A push after which the
     motion does not return to the cycle is called a *leaving* push.
 
-    A first scan tries pushes up to a bound. Further scans try smaller pushes than the smallest leaving push, until none
-    of them leaves. The interval between this push and the next smaller one is then narrowed. A hole in the basin of the
-    cycle that is narrower than the spacing of the scans is missed.
+    A first scan tries pushes up to a bound. Further scans try pushes below the smallest leaving push found so far,
+    until none of these is leaving. The interval between the smallest leaving push and the next smaller push is then
+    narrowed. A hole in the basin of the cycle that is narrower than the spacing of the scans is missed.
 
     **Arguments:**
 

@@ -73,11 +73,7 @@ SCHEMA = {
         "m s-1", "cross-validation error: each block of a log's rows predicted from the others", along=_FORM
     ),
     "evidence_against": Variable(
-        *(
-            "1",
-            "AIC, or 2 n ln(cv_error), minus its least value; rejected above 5.4 (special case: 8.8; sweep: 2)",
-        ),
-        along=_FORM,
+        "1", "AIC (of a log, 2 n ln(cv_error)) above the best form's; above 5.4 (sweep: 2) it is rejected", along=_FORM
     ),
     "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),
     "used": Variable("1", "number of lanes that the fit used, including those at zero rate", np.int32, along=_FORM),

@@ -83,7 +83,7 @@ class Switch:
 
     The field takes a fourth argument `s`; `s[name]` is the side, 1 or -1. Where the fields of both sides push towards
     the surface, the motion slides along it by Filippov's convex combination of the two fields. Sliding ends when one
-    field leads away (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
+    of the fields points away from it (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
 
     **Example:**
 
