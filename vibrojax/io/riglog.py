@@ -71,16 +71,16 @@ def read_log(
     - `path`: the file, or a DataFrame with the columns of such a file.
     - `columns`: by quantity, the column and its unit, or a value for all rows, such as {"bit_diameter": "8.5 in"}.
     - `where`: one or several conditions that rows must meet: "WOB (klb) < 35", "depth (m) >= 1200", "time (h) > 2",
-      "Formation=shale". A condition on a quantity replaces its limit.
+      "Formation=shale". A condition on a quantity replaces the usual limit of this quantity.
     - `nulls`: further texts or numbers that stand for a missing value, beside -999.25, NULL, N/A, - and the like.
-    - `needed`: quantities in which a bad cell or an unlikely unit is an error; in the others, it is only noted.
+    - `needed`: quantities in which a bad cell or an unlikely unit is an error; in other quantities, it is only noted.
 
     **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`
     [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and
     `stick_slip_index` (as given), where the file has them; then `line`, the number of a row's line in the file, and the
-    other columns. `attrs`: `units` and `sources` by quantity, `dropped` (number of rows by reason), `lines` (of them),
-    `rows_read`, `notes`, `title`, `rig` (whether it is the log of a rig), and `unusual` (name of the column, quantity,
-    median [SI] and advice, where a given unit makes values far from those of rigs).
+    other columns. `attrs`: `units` and `sources` by quantity, `dropped` (number of rows by reason), `lines` (line
+    numbers of these rows), `rows_read`, `notes`, `title`, `rig` (whether it is the log of a rig), and `unusual`
+    (columns whose stated unit gives values far from those of rigs: name, quantity, median [SI] and advice).
 
     **Raises:** `InputError` that names column and line; all bad cells are listed at once.
 

@@ -28,7 +28,7 @@ class Small(NamedTuple):
 class Event:
     """The functions whose zeros may end a step in one mode: the guards of the scene and, if `marked`, its markers.
 
-    If the stepper `smooths` the friction switch, the guard of that switch is never reached.
+    If the stepper `smooths` dry friction, the guard of friction is never reached.
     """
 
     scene: Scene[Any]
