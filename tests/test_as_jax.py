@@ -111,6 +111,7 @@ def test_interrupt_is_raised_as_such(monkeypatch):
     np.testing.assert_array_equal(call(x), expected)
 
 
+@pytest.mark.long
 def test_arrays_on_a_mesh(f):
     mesh, spec = jax.make_mesh((1,), ("i",), axis_types=(jax.sharding.AxisType.Explicit,)), jax.sharding.PartitionSpec
     points = jnp.asarray([HERE, HERE + 0.01])

@@ -40,6 +40,7 @@ def test_bursting_motion_is_one_attractor(bursting):
     assert attractors.period.values.ravel()[number] == pytest.approx(0.270, rel=0.1)  # over 2,048 s of either lane
 
 
+@pytest.mark.long
 def test_two_irregular_motions_at_one_point_are_separated():
     """Their impact velocities are 0.54 and 0.23 m/s over 800 s."""
     grid = {"beta": [1.1], "gamma": [0.5]}

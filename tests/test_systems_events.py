@@ -173,6 +173,7 @@ def test_friction_holds_a_body_at_a_stop():
     assert (x, v) == pytest.approx((0.5 * free**3 / 6, 0.5 * free**2 / 2), abs=1e-8)
 
 
+@pytest.mark.long
 def test_friction_and_a_switch_on_one_velocity_hold_one_at_a_time():
     """v' = f + 2 below v = 1 and f - 2 above, with friction 1 and f = -t/4: v slides at 1, falls, sticks and reverses.
 

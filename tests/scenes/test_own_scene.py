@@ -62,6 +62,7 @@ class DrillWithString(VibroImpact):
         return super().flight_rate(c) + jnp.sqrt((c.drill.k1 + c.k4) / c.m0) + c.c4 / c.m0
 
 
+@pytest.mark.long
 def test_stiff_string_has_no_effect():
     """The string is so stiff that its mass moves with the drive; the motion is that of the vibro-impact scene.
 
