@@ -104,7 +104,6 @@ def test_predicted_end_on_orbit(multipliers, away, more, ends):
     assert reaches_orbit(multipliers, away, **more) == ends
 
 
-@pytest.mark.long
 def test_nearby_orbit_predicts_end_of_long_transient():
     """Most lanes that are not periodic after 40 s but have a stable orbit nearby are on it after 300 s."""
     rng = np.random.default_rng(14)
