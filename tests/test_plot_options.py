@@ -11,8 +11,8 @@ from matplotlib.collections import QuadMesh
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.pictures.layout import PAGE
 from vibrojax.pictures.selection import select
-from vibrojax.pictures.sheet import PAGE
 from vibrojax.studies.choose import picture, requested
 
 

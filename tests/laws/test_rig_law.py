@@ -107,7 +107,7 @@ def test_founder_is_told_by_formation():
     ).any()
     text = "\n".join(verdict(fit))
     assert text.count("above it the rate falls by") == 2 and "left out, rate far from the law" in text
-    panels = sheet_of(fit).above.plots
+    panels = sheet_of(fit).plots
     assert [layer.x[0] for layer in panels[0].layers if layer.label == "founder weight"] == pytest.approx(
         [160], rel=0.05
     )

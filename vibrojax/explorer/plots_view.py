@@ -79,8 +79,7 @@ def figure_document(
     plots: list[Document] = []
     keys: dict[str, Document] = {}
     for sheet in (as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
-        for part in (sheet.above, sheet):
-            plots += _plots(part, sheet, ds, axes, drawn, maps) if part is not None else ()
+        plots += _plots(sheet, ds, axes, drawn, maps)
         keys = {key["text"]: key for key in _keys(sheet, drawn)} | keys
     images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
     items = [item for plot in plots for item in plot["items"]]
@@ -96,7 +95,7 @@ def figure_document(
 
 
 def _plots(
-    part: Sheet, whole: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str], maps: bool
+    sheet: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str], maps: bool
 ) -> Iterator[Document]:
     columns = {
         column["name"]: f"{axis['name']}:{column['name']}" if axis["columns"] else axis["name"]
@@ -106,32 +105,31 @@ def _plots(
     directions = {n: way for n, way in columns.items() if n in ds.variables and (maps or ds[n].dtype.kind in "fiu")}
     titles: dict[int, str] = {}
     # In a picture, panels share the labels at the left and at the bottom; on the page each has its own.
-    ups = {plot.span[0]: plot.y.label for plot in reversed(part.plots) if plot.y.label and plot.y.ticks is None}
-    acrosses = {plot.span[1]: plot.x.label for plot in part.plots if plot.x.label and plot.x.ticks is None}
+    ups = {(plot.span[0], plot.y.group): plot.y.label for plot in reversed(sheet.plots) if plot.y.label}
+    acrosses = {(plot.span[1], plot.x.group): plot.x.label for plot in sheet.plots if plot.x.label}
     beside: str | None = None
-    height = part.size[1] - (part.above.size[1] if part.above else 0.0)
-    for plot in resolved(part.plots):
+    for plot in resolved(sheet.plots):
         x, y = directions.get(plot.x.name), directions.get(plot.y.name)
         row, column, deep, wide = (*plot.place, 1, 1)[:4]
         titles.setdefault(row, plot.title)
         if not plot.layers or (x and ((y and not maps) or plot.y.name in drawn)):
             continue
-        title = plot.title or plot.name or titles[row] or ("" if plot.x.label or plot.y.label else whole.title)
+        title = plot.title or plot.name or titles[row] or ("" if plot.x.label or plot.y.label else sheet.title)
         at = {
             name: int(indices[0])
             for name in (axis["name"] for axis in axes if axis["name"] in plot.at and axis["name"] in ds.coords)
             if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
         }
-        share = sum(part.widths[column : column + wide]) / sum(part.widths)
-        track, title = len(part.widths) > 3 and share < TRACK_SHARE, _plain(title)
+        share = sum(sheet.widths[column : column + wide]) / sum(sheet.widths)
+        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(title)
         bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
             "title": title,
-            "x": _axis(plot.x, x, acrosses.get(column, "")),
-            "y": _axis(plot.y, y, ups.get(row, "")),
+            "x": _axis(plot.x, x, acrosses.get((column, plot.x.group), "")),
+            "y": _axis(plot.y, y, ups.get((row, plot.y.group), "")),
             "at": at,
             "wide": bool(share >= WIDE_SHARE),
-            "low": bool(height * sum(part.heights[row : row + deep]) / sum(part.heights) < LOW_INCHES),
+            "low": bool(sheet.size[1] * sum(sheet.heights[row : row + deep]) / sum(sheet.heights) < LOW_INCHES),
             "square": plot.square,
             "track": track,
             "bare": bare,
@@ -255,15 +253,14 @@ def _dash(dash: Dash, width: float) -> list[float]:
 
 def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
     """Yield the entries of the legends, and those of colour bars that the page does not draw itself."""
-    every = [plot for part in (sheet.above, sheet) if part is not None for plot in part.plots]
-    for value in {id(plot.scale): plot.scale for plot in every if plot.scale is not None}.values():
+    for value in {id(plot.scale): plot.scale for plot in sheet.plots if plot.scale is not None}.values():
         if value.name not in drawn and not value.names:
             low, high = (f"{x:.3g}".replace("-", "−") for x in (value.norm.vmin, value.norm.vmax))
             colours = [to_hex(value.colour_map(level)) for level in np.linspace(0.0, 1.0, 9)]
             text = _plain(value.label)
             text = f"{text}: {low} to {high}" if text else f"{low} to {high}"
             yield {"text": text, "shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
-    own = [layer for plot in every if plot.keys for layer in labelled_layers(plot)]
+    own = [layer for plot in sheet.plots if plot.keys for layer in labelled_layers(plot)]
     for layer in (*own, *(layer for group in legend_of(sheet) for layer in group)):
         if isinstance(layer, Cells | Text):
             continue

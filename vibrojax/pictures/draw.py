@@ -1,11 +1,5 @@
-"""Drawing of pictures by matplotlib: panels, legends, colour bars, title and note.
+"""Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
-Panels are placed by matplotlib's constrained layout, in a fraction of its time. Matplotlib finds the place of the label
-of an axis, and the height of a title, from all tick labels around, each time that it measures a panel: for 14 panels,
-it computes ticks a thousand times. Here, labels are placed once before panels, and titles stay where they are.
-"""
-
-from collections import defaultdict
 from collections.abc import Sequence
 from io import BytesIO
 from textwrap import fill
@@ -20,15 +14,14 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.gridspec import GridSpec, SubplotSpec
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
-from matplotlib.transforms import ScaledTranslation
 
-from vibrojax.pictures.fitting import SMALL, WIDTH, in_width
+from vibrojax.pictures.axes import broken
+from vibrojax.pictures.layout import LETTERS, WIDTH, in_width
 from vibrojax.pictures.plots import (
     Area,
     Axis,
@@ -49,6 +42,9 @@ from vibrojax.pictures.plots import (
 )
 from vibrojax.pictures.style import NO_VALUE, plain, settings
 
+# Sizes of type where panels are made narrower.
+_SMALL = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 7.5)
+_SMALL |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 6.5)
 _TITLE_SIZE, _NOTE_SIZE = 11.0, 8.0
 _ROUND_STEPS = [1, 2, 5, 10]
 # Greatest number of intervals between the ticks of a colour bar, also of a narrow one: more labels would touch.
@@ -95,27 +91,23 @@ def draw(picture: Picture | Figure) -> Figure:
             picture.set_size_inches(width, picture.get_figheight() * width / picture.get_figwidth())
         return picture
     sheet = as_sheet(picture)
-    with settings(SMALL if width and width < sheet.size[0] else {}):
+    with settings(_SMALL if width and width < sheet.size[0] else {}):
         sheet = in_width(sheet, width) if width else sheet
         figure = new_figure(*sheet.size)
-        figure.set_layout_engine(PanelLayout())
-        heights = [part.size[1] for part in sheet.parts]
-        heights[-1] = sheet.size[1] - sum(heights[:-1])
-        grid: Any = GridSpec(len(heights), 1, figure, height_ratios=heights)
-        for k, part in enumerate(sheet.parts):
-            _draw_plots(figure, grid[k], part)
+        _draw_plots(figure, sheet)
         _draw_legend(figure, sheet)
         _write_margins(figure, sheet)
         # Ticks are created when the figure is rendered, under the user's settings.
         for axes in figure.axes:
             axes.tick_params(labelsize=rcParams["xtick.labelsize"])
+        figure.align_ylabels()
     return figure
 
 
-def _draw_plots(figure: Figure, whole: SubplotSpec, sheet: Sheet) -> None:
+def _draw_plots(figure: Figure, sheet: Sheet) -> None:
     """Draw the plots of a sheet, and one colour bar below the plots of each quantity."""
     size = len(sheet.heights), len(sheet.widths)
-    grid = whole.subgridspec(*size, height_ratios=sheet.heights, width_ratios=sheet.widths)
+    grid = GridSpec(*size, figure, height_ratios=sheet.heights, width_ratios=sheet.widths)
     plots, panels = resolved(sheet.plots), []
     for plot in plots:
         row, column, deep, wide = plot.span
@@ -123,8 +115,10 @@ def _draw_plots(figure: Figure, whole: SubplotSpec, sheet: Sheet) -> None:
         _draw_plot(panels[-1], plot, plots)
     for value in {id(plot.scale): plot.scale for plot in plots if plot.scale is not None}.values():
         below = [axes for axes, plot in zip(panels, plots, strict=True) if plot.scale is value]
-        wide = len({plot.place[1] for plot in plots if plot.scale is value})
-        _draw_scale(figure, below, value, _BAR_ASPECT * wide, _BAR_INTERVALS if sheet.beside else _FEW_INTERVALS)
+        columns = {plot.place[1]: plot.span[3] for plot in plots if plot.scale is value}
+        letters = int(LETTERS * sheet.size[0] * sum(columns.values()) / len(sheet.widths))
+        intervals = _BAR_INTERVALS if sheet.beside else _FEW_INTERVALS
+        _draw_scale(figure, below, value, broken(value.label, letters), _BAR_ASPECT * len(columns), intervals)
 
 
 def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
@@ -140,11 +134,9 @@ def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
     if plot.square:
         axes.set_aspect("equal")
     bold: dict[str, Any] = {"color": plot.title_colour, "fontweight": "bold"} if plot.title_colour else {}
-    axes.spines[["top", "right"]].set_in_layout(False)  # matplotlib would compute ticks to measure them
-    height: Any = title_height(axes)
     is_centred = plot.has_cells or plot.square or bool(bold)
-    axes.set_title(plain(plot.title), loc="center" if is_centred else "left", y=height, **bold)
-    axes.set_title(plain(plot.remark), loc="right", y=height, fontsize=8)
+    axes.set_title(plain(plot.title), loc="center" if is_centred else "left", **bold)
+    axes.set_title(plain(plot.remark), loc="right", fontsize=8)
     if plot.keys:
         place: dict[str, Any] = {"loc": plot.keys}
         if plot.keys in _ABOVE:
@@ -273,8 +265,8 @@ def _draw_legend(figure: Figure, sheet: Sheet) -> None:
         legend.remove()
 
 
-def _draw_scale(figure: Figure, above: list[Axes], value: Any, aspect: float, intervals: int) -> None:
-    look: dict[str, Any] = {"extend": value.extend, "label": plain(value.label), "aspect": aspect}
+def _draw_scale(figure: Figure, above: list[Axes], value: Any, label: str, aspect: float, intervals: int) -> None:
+    look: dict[str, Any] = {"extend": value.extend, "label": plain(label), "aspect": aspect}
     mappable = ScalarMappable(value.norm, value.colour_map)
     bar = figure.colorbar(mappable, ax=above, location="bottom", extendfrac=1.0 / aspect, **look)
     if value.names:
@@ -321,58 +313,3 @@ def _write_margins(figure: Figure, sheet: Sheet) -> None:
             each.set_bbox_to_anchor((0.0, below / height, 1.0, 1.0), figure.transFigure)
         engine: Any = figure.get_layout_engine()
         engine.set(rect=(0.0, legend / height, 1.0, 1.0 - legend / height))
-
-
-_POINTS = 72.0  # in an inch
-_LAYOUT_MAX_ROUNDS = 3  # the place of labels and the size of panels depend on each other by the width of tick labels
-_SAME_PLACE = 0.01  # difference of the places of a label that a further round does not correct [inch]
-
-
-class PanelLayout(ConstrainedLayoutEngine):
-    """A constrained layout that aligns the labels of the vertical axes of each column of panels."""
-
-    def execute(self, fig: Figure) -> Any:
-        """Place all panels and their labels."""
-        before: dict[Any, float] = {}
-        for _ in range(_LAYOUT_MAX_ROUNDS):
-            placed = _place_labels(fig)
-            if before and all(abs(placed[axis] - before[axis]) < _SAME_PLACE for axis in placed):
-                break
-            before = placed
-            grids = super().execute(fig)
-        return grids
-
-
-def title_height(axes: Axes) -> float | None:
-    """Return the height of the title over the panel; None if it has to make room for an exponent of the axis."""
-    formatter: Any = axes.yaxis.get_major_formatter()
-    formatter.set_locs(axes.yaxis.get_majorticklocs())
-    return None if formatter.get_offset() else 1.0
-
-
-def _place_labels(figure: Figure) -> dict[Any, float]:
-    """Place the labels of all axes beside the tick labels; return their distances from the panels [inch], by axis."""
-    columns: dict[float, list[Any]] = defaultdict(list)
-    placed: dict[Any, float] = {}
-    for axes in figure.axes:
-        columns[round(axes.get_position(original=True).x0, 3)].append(axes.yaxis)
-        placed[axes.xaxis] = _room(axes, axes.xaxis, 1)
-        placed[axes.yaxis] = _room(axes, axes.yaxis, 0)
-    for column in columns.values():
-        placed |= dict.fromkeys(column, max(placed[axis] for axis in column))
-    for axis, inches in placed.items():
-        vertical = axis is axis.axes.yaxis
-        away = ScaledTranslation(-inches * vertical, -inches * (not vertical), figure.dpi_scale_trans)
-        axis.set_label_coords(*((0.0, 0.5) if vertical else (0.5, 0.0)), axis.axes.transAxes + away)
-    return placed
-
-
-def _room(axes: Axes, axis: Any, side: int) -> float:
-    """Return the distance of the label from the panel [inch]: to the left (`side` 0), below (1), or 0 without label."""
-    if not axis.label.get_text():
-        return 0.0
-    axis.label.set_visible(False)
-    ticks = axis.get_tightbbox()
-    axis.label.set_visible(True)
-    outside = 0.0 if ticks is None else max(0.0, axes.bbox.min[side] - ticks.min[side])
-    return float(outside) / axes.figure.dpi + axis.labelpad / _POINTS

@@ -234,7 +234,6 @@ class Sheet:
 
     - `size`: width and height [inch], without the further lines of title and note.
     - `keys`: groups of legend entries, before those of the layers with labels.
-    - `above`: a further sheet above the plots, within the size of this one.
     - `beside`: whether the legend is at the right of the plots, not below.
     """
 
@@ -245,18 +244,12 @@ class Sheet:
     keys: Sequence[Sequence[Layer]] = ()
     title: str = ""
     note: str = ""
-    above: "Sheet | None" = None
     beside: bool = True
 
     def __post_init__(self) -> None:
         for k, name in enumerate(("heights", "widths")):
             count = max((plot.span[k] + plot.span[k + 2] for plot in self.plots), default=1)
             object.__setattr__(self, name, getattr(self, name) or (1.0,) * count)
-
-    @property
-    def parts(self) -> "tuple[Sheet, ...]":
-        """The sheet above the plots, if any, and this one."""
-        return (self,) if self.above is None else (self.above, self)
 
 
 Picture = Sheet | Sequence[Plot]
@@ -272,14 +265,14 @@ def as_sheet(plots: Picture) -> Sheet:
 
 
 def plots_of(sheet: Sheet) -> list[Plot]:
-    """Return all plots of a sheet, those above first."""
-    return [plot for part in sheet.parts for plot in resolved(part.plots)]
+    """Return the plots of a sheet with the limits of their axes."""
+    return resolved(sheet.plots)
 
 
 def legend_of(sheet: Sheet) -> list[list[Layer]]:
     """Return the groups of legend entries: the keys of the sheet, and layers with labels, each text once."""
-    plots = [plot for part in sheet.parts for plot in part.plots if not plot.keys]
-    labelled: list[Layer] = [*{layer.label: layer for plot in plots for layer in labelled_layers(plot)}.values()]
+    layers = (layer for plot in sheet.plots if not plot.keys for layer in labelled_layers(plot))
+    labelled: list[Layer] = [*{layer.label: layer for layer in layers}.values()]
     return [group for group in (*map(list, sheet.keys), labelled) if group]
 
 

@@ -52,13 +52,11 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = No
     diagrams = 1 if contents.many_starts(ds) else len(starts_of(ds))
     layers = overlays.as_layers(over)
     overlays.check_families(ds, layers, x)
-    grey = [dots(label="all other starts", size=6.5, colour=_OTHERS)] if diagrams > 1 else []
+    grey: list[Layer] = [dots(label="all other starts", size=6.5, colour=_OTHERS)] if diagrams > 1 else []
     shown = variable or str(contents.returns_in(ds))
     heights = 1.0 + 2.6 / diagrams, 1.0 + 1.6 / diagrams  # [inch], for one facet and for several
     draw = partial(_return_plots, shown=shown, x=x, layers=layers)
-    return stacks(
-        ds, x, diagrams, heights, draw, [*grey, *overlays.over_keys(layers)], overlays.over_text(ds, layers, shown)
-    )
+    return stacks(ds, x, diagrams, heights, draw, grey, overlays.over_text(ds, layers, shown))
 
 
 def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes, Lanes]:
@@ -135,9 +133,7 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
     note = ". ".join(filter(None, (about, of_families, _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9
     draw = partial(_way_plots, values=values, shown=str(at_returns), x=along, layers=layers)
-    return stacks(
-        ds, along, max(len(values), 1), (height, height), draw, [*keys, *marks, *overlays.over_keys(layers)], note
-    )
+    return stacks(ds, along, max(len(values), 1), (height, height), draw, [*keys, *marks], note)
 
 
 def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
