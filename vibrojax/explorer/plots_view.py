@@ -260,19 +260,15 @@ def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
             text = _plain(value.label)
             text = f"{text}: {low} to {high}" if text else f"{low} to {high}"
             yield {"text": text, "shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
-    own = [layer for plot in sheet.plots if plot.keys for layer in labelled_layers(plot)]
-    for layer in (*own, *(layer for group in legend_of(sheet) for layer in group)):
-        if isinstance(layer, Cells | Text):
+    own = [entry for plot in sheet.plots if plot.keys for entry in labelled_layers(plot)]
+    for entry in (*own, *(entry for group in legend_of(sheet) for entry in group)):
+        key: dict[str, Any] = {"text": _plain(entry.label), "dash": [], "hollow": False}
+        if isinstance(entry, Area):
+            yield key | {"shape": "patch", "colour": "hatched" if entry.hatch else to_hex(entry.colour)}
             continue
-        key: dict[str, Any] = {"text": _plain(layer.label), "dash": []}
-        if isinstance(layer, Line):
-            dash = _dash(layer.dash, layer.width) if layer.dash else []
-            marker = {"marker": layer.marker} if layer.dash and layer.marker else {}
-            look = {"shape": "line" if layer.dash else layer.marker or "o", "dash": dash}
-            yield key | look | marker | {"colour": to_hex(layer.colour), "hollow": layer.face in ("none", "white")}
-        else:
-            own_colours = layer.colour if isinstance(layer, Area) else layer.colours
-            colour = own_colours if isinstance(own_colours, str) else own_colours[0]
-            hatched = not isinstance(layer, Points) and bool(layer.hatch)
-            shape = layer.marker if isinstance(layer, Points) else "patch"
-            yield key | {"shape": shape, "colour": "hatched" if hatched else to_hex(colour), "hollow": False}
+        key |= {"colour": to_hex(entry.colour), "hollow": entry.face in ("none", "white")}
+        if not entry.dash:
+            yield key | {"shape": entry.marker or "o"}
+            continue
+        marker = {"marker": entry.marker} if entry.marker else {}
+        yield key | {"shape": "line", "dash": _dash(entry.dash, entry.width)} | marker

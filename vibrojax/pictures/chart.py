@@ -13,7 +13,7 @@ from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures import axes
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
 from vibrojax.pictures.maps import contours, region
-from vibrojax.pictures.plots import INK, Cells, Dash, Layer, Plot, Sheet, dots, patch
+from vibrojax.pictures.plots import INK, Cells, Dash, Key, Layer, Plot, Sheet, dots, patch
 from vibrojax.pictures.style import IMPACT
 
 SAME_MOTION = 0.02
@@ -65,7 +65,7 @@ def chart(ds: xr.Dataset) -> Sheet:
     tolerance = ",\n".join(f"{axes.symbol(ds[name])} ± {_step(ds[name])}" for name in (x, y))
     regions = {_ROBUST: f"robust: also within\n{tolerance}", _SINGLE: "the same single impact\nfrom every start"}
     regions[_OTHER] = "other motions"
-    keys: list[Layer] = [patch(colour, words, edge=INK) for colour, words in regions.items()]
+    keys: list[Key] = [patch(colour, words, edge=INK) for colour, words in regions.items()]
     keys += [replace(mark, x=(), y=()) for mark in marks]
     extra = [replace(mark, label="") for mark in marks]
     plots = [_panel(ds, (x, y), single.astype(int) + robust, group) for group in names]

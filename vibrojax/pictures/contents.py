@@ -84,12 +84,8 @@ def rates_in(ds: xr.Dataset) -> xr.Dataset:
 
 def law_in(fit: xr.Dataset) -> xr.Dataset:
     """Return the fit with axes of length 1 as scalars; raise `InputError` if it holds no C along `form`."""
-    has_forms = COEFFICIENT in fit and FORM in fit[COEFFICIENT].dims
-    return require(
-        named_groups(fit),
-        COEFFICIENT if has_forms else "",
-        "no law to draw: the dataset holds no variable C along form",
-    )
+    name = COEFFICIENT if COEFFICIENT in fit and FORM in fit[COEFFICIENT].dims else ""
+    return require(named_groups(fit), name, "no law to draw: the dataset holds no variable C along form")
 
 
 def require(ds: xr.Dataset, name: str, reason: str) -> xr.Dataset:

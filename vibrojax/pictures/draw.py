@@ -27,6 +27,7 @@ from vibrojax.pictures.plots import (
     Axis,
     Bars,
     Cells,
+    Key,
     Layer,
     Line,
     Picture,
@@ -206,8 +207,6 @@ def _draw_layer(axes: Axes, layer: Layer, plot: Plot) -> None:
         axes.pcolormesh(layer.x, layer.y, np.ma.masked_invalid(layer.values), **look)
     else:
         look = {"ha": layer.align, "va": layer.baseline, "color": layer.colour, "fontsize": layer.size}
-        if layer.box:
-            look |= {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 1.5}}
         look |= {"xytext": layer.offset, "textcoords": "offset points", "zorder": layer.order} | stroke
         look |= {"xycoords": "axes fraction" if layer.relative else "data", "annotation_clip": False}
         axes.annotate(plain(layer.text), (layer.x, layer.y), **look)
@@ -228,20 +227,14 @@ def _line_look(layer: Line) -> dict[str, Any]:
     return look | {"alpha": layer.alpha}
 
 
-def _handle(layer: Layer) -> Artist:
-    """Return the legend entry of a layer."""
-    text = plain(layer.label) if not isinstance(layer, Cells) else ""
-    if isinstance(layer, Line):
-        return Line2D([], [], label=text, **_line_look(layer))
-    if isinstance(layer, Points):
-        colour, size = np.atleast_1d(layer.colours)[0], float(np.max(layer.sizes))
-        return Line2D([], [], label=text, linestyle="none", marker=layer.marker, color=colour, markersize=size)
-    if isinstance(layer, Bars | Area):
-        colour = layer.colour if isinstance(layer, Area) else np.atleast_1d(layer.colours)[0]
-        face = to_rgba(colour, layer.alpha if isinstance(layer, Area) else 1.0) if colour != "none" else "none"
-        edge: dict[str, Any] = {"edgecolor": layer.edge or "none", "linewidth": 1.3 if colour == "none" else 0.4}
-        return Patch(facecolor=face, hatch=layer.hatch or None, label=text, **edge)
-    return Line2D([], [], linestyle="none", label=text)
+def _handle(key: Key) -> Artist:
+    """Return an entry of a legend."""
+    if isinstance(key, Line):
+        return Line2D([], [], label=plain(key.label), **_line_look(key))
+    hollow = key.colour == "none"
+    look: dict[str, Any] = {"edgecolor": key.edge or "none", "linewidth": 1.3 if hollow else 0.4}
+    look |= {"facecolor": "none" if hollow else to_rgba(key.colour, key.alpha), "hatch": key.hatch or None}
+    return Patch(label=plain(key.label), **look)
 
 
 def _draw_legend(figure: Figure, sheet: Sheet) -> None:
@@ -253,8 +246,8 @@ def _draw_legend(figure: Figure, sheet: Sheet) -> None:
         gap = Line2D([], [], linestyle="none", label=" ")
         handles = [handle for group in groups for handle in (gap, *group)][1:]
         dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
-        look: dict[str, Any] = {"handlelength": _DASHED_LENGTH} if dashed else {}
-        figure.legend(handles=handles, loc="outside right upper", **look)
+        length = _DASHED_LENGTH if dashed else rcParams["legend.handlelength"]
+        figure.legend(handles=handles, loc="outside right upper", handlelength=length)
         return
     handles = [handle for group in groups for handle in group]
     renderer = FigureCanvasAgg(figure).get_renderer()

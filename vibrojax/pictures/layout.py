@@ -128,7 +128,7 @@ WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
 """Width [inch] that the user chose for the picture; None if each picture has its own."""
 
 _INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0}
-_NARROWEST, _WIDEST = 1.5, 40.0  # [inch]
+_NARROWEST, _NARROW, _WIDEST = 1.5, 4.5, 40.0  # [inch]; a narrow picture shows fewer maps
 _LEAST_PANEL, _LEAST_SHARED = 1.25, 1.1  # least width [inch] of a panel with its labels, and with those of its row
 _KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
 _MOST_ACROSS = 6
@@ -152,6 +152,11 @@ def read_width(width: str | float | int | None) -> float | None:
     if not _NARROWEST <= inches <= _WIDEST:
         raise InputError(f"width: {shown(width)} is not the width of a picture; give one like 85mm or 170mm")
     return inches
+
+
+def is_narrow() -> bool:
+    """Return whether the user chose a narrow picture."""
+    return (WIDTH.get() or np.inf) <= _NARROW
 
 
 def in_width(sheet: Sheet, width: float) -> Sheet:

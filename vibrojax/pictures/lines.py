@@ -24,6 +24,7 @@ from vibrojax.pictures.plots import (
     Axis,
     Cells,
     Dash,
+    Key,
     Layer,
     Line,
     Look,
@@ -97,7 +98,7 @@ def stacks(
     curves: int,
     heights: tuple[float, float],
     draw: Callable[[xr.Dataset], list[Plot]],
-    keys: Sequence[Layer] = (),
+    keys: Sequence[Key] = (),
     note: str = "",
 ) -> Sheet:
     """Draw a picture along `x`: for each facet, the `curves` plots that `draw` returns, above the strip of regimes.
@@ -302,7 +303,7 @@ def row_per_facet(
     x: Across,
     by: str,
     draws: Sequence[Callable[[list[Series]], Plot]],
-    keys: Sequence[Sequence[Layer]],
+    keys: Sequence[Sequence[Key]],
     *notes: str,
 ) -> Sheet:
     """Draw curves over `x`, with a line per value of `by`: a row for each facet, and a column for each of `draws`.

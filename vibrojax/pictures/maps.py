@@ -14,7 +14,7 @@ from vibrojax.lazy import colors, ticker
 from vibrojax.pictures import axes, colours, contents
 from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, RELIEF, SENSITIVE, START, lane_dims, varied
-from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, WIDTH, Facets, at, facets
+from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, Facets, at, facets, is_narrow
 from vibrojax.pictures.overlays import check_borders, codim2_layers, over_map_text, over_panel
 from vibrojax.pictures.plots import (
     INK,
@@ -37,7 +37,7 @@ Values = Sequence[Value]
 
 _MOST_BESIDE = 3  # for up to this many facets, quantities are to the right of the regimes, else below
 _MOST_COLUMNS = 6
-_NARROW, _NARROW_COLUMNS = 4.5, 2  # width [inch] of a picture up to which many facets show one quantity, in two columns
+_NARROW_COLUMNS = 2  # of a narrow picture, in which many facets show one quantity
 _SQUARE_FROM, _SQUARE_COLUMNS = 4, (2, 3)  # number of quantities from which a single facet has several rows
 _MOST_RATES = {1: 4, 2: 3, 3: 3}  # quantities on maps of rates, by the number of facets; else only the rate
 _MOST_RATE_FACETS = 9
@@ -70,7 +70,7 @@ def maps_of(
     """
     count, many = len(panels), len(values)
     if blocks := count > _MOST_BESIDE:
-        of_facets = panels.places(_NARROW_COLUMNS if _is_narrow() else _MOST_COLUMNS)
+        of_facets = panels.places(_NARROW_COLUMNS if is_narrow() else _MOST_COLUMNS)
         block = 1 + max(row for row, _ in of_facets)
         places = [(row + i * block, column) for row, column in of_facets for i in range(many)]
     else:
@@ -95,23 +95,16 @@ def maps_of(
     return Sheet(sorted(plots, key=lambda plot: plot.place), size)
 
 
-def _is_narrow() -> bool:
-    return (WIDTH.get() or np.inf) <= _NARROW
-
-
 def region(x: xr.DataArray, y: xr.DataArray) -> list[Line]:
     """Return the border of the source's region of best single impacts, closed at the edge of the map."""
     if {x.name, y.name} != set(REGION):
         return []
-    (west, east), (south, north) = (np.clip(REGION[str(data.name)], *_ends(data)).tolist() for data in (x, y))
+    ends = (np.clip(REGION[str(data.name)], float(data.min()), float(data.max())) for data in (x, y))
+    (west, east), (south, north) = (pair.tolist() for pair in ends)
     if west >= east or south >= north:
         return []
     corners = [west, east, east, west, west], [south, south, north, north, south]
     return [Line(*corners, width=1.3, halo=0.85, label="source's best region", order=3.0)]
-
-
-def _ends(data: xr.DataArray) -> tuple[float, float]:
-    return float(data.min()), float(data.max())
 
 
 def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: Sequence[xr.Dataset] = ()) -> Sheet:
@@ -121,7 +114,7 @@ def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over:
     points, lines = POINT in lane_dims(ds), False
     ds = ds if points else ds.sortby([x, y])
     panels = split_starts(ds) if points else facets(ds, (x, y), MOST_PANELS // (1 + (len(values) >= _MANY_VALUES)))
-    if len(panels) > _MOST_BESIDE and _is_narrow() and values[1:]:
+    if len(panels) > _MOST_BESIDE and is_narrow() and values[1:]:
         names = ", ".join(value.name for value in values[1:])
         values, notes = values[:1], (*notes, f"Room for one variable in this width; not shown: {names}")
 

@@ -28,7 +28,22 @@ from vibrojax.pictures.colours import cell_keys, no_value_key, regime_names, reg
 from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
 from vibrojax.pictures.layout import MOST_PANELS, at, facets
 from vibrojax.pictures.maps import cell_layers, maps_of
-from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Look, Plot, Sheet, Text, bars, dots, patch
+from vibrojax.pictures.plots import (
+    Area,
+    Axis,
+    Bars,
+    Cells,
+    Key,
+    Layer,
+    Line,
+    Look,
+    Plot,
+    Sheet,
+    Text,
+    bars,
+    dots,
+    patch,
+)
 from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
@@ -176,7 +191,7 @@ def attractor_shares(ds: xr.Dataset) -> Sheet:
     count, points = ds.sizes[ATTRACTOR], ds["unassigned"].size
     share, regime = (ds[name].transpose(..., ATTRACTOR).values.reshape(points, count) for name in ("share", REGIME))
     names = regime_names(ds[REGIME])
-    keys: list[Layer] = []
+    keys: list[Key] = []
     for k in range(min(count, len(COLOURS))):
         most = int(np.argmax(np.bincount(regime[:, k], weights=share[:, k])))
         text = f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))} of starts"

@@ -22,7 +22,22 @@ from vibrojax.pictures.colours import form_colour, value_axis, value_of
 from vibrojax.pictures.contents import FORM, POINT, law_in, named_groups
 from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets, stacked
 from vibrojax.pictures.lines import Series, curves, longest_axis, row_per_facet, value_lines
-from vibrojax.pictures.plots import FAINT, Area, Axis, Dash, Layer, Line, Look, Plot, Sheet, bars, dots, key, upright
+from vibrojax.pictures.plots import (
+    FAINT,
+    Area,
+    Axis,
+    Dash,
+    Key,
+    Layer,
+    Line,
+    Look,
+    Plot,
+    Sheet,
+    bars,
+    dots,
+    key,
+    upright,
+)
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, FORMULAS, LOGARITHMIC, SAME_AS_ONSET, Standing
@@ -264,7 +279,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     ]
     used = {flag for group in groups.data for flag in np.unique(group["data_use"])}
     uses = [name for flag, name in flags(fit["data_use"]).items() if flag in used and name in _USES]
-    keys: list[list[Layer]] = [[], [dots(label=_USES[use][0], **looks[use] | {"size": 4.5}) for use in uses]]
+    keys: list[list[Key]] = [[], [dots(label=_USES[use][0], **looks[use] | {"size": 4.5}) for use in uses]]
     for name in map(str, fit[FORM].values):
         formula = FORMULAS[name]
         for text, sign in {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}.items():
