@@ -28,25 +28,8 @@ from matplotlib.figure import Figure
 from vibrojax.explorer.document import Document, json_value, one_line
 from vibrojax.explorer.encoding import pack
 from vibrojax.measures.labels import REGIMES
-from vibrojax.pictures.plots import (
-    Area,
-    Axis,
-    Bars,
-    Cells,
-    Dash,
-    Layer,
-    Line,
-    Picture,
-    Places,
-    Plot,
-    Points,
-    Sheet,
-    Text,
-    as_sheet,
-    labelled_layers,
-    legend_of,
-    resolved,
-)
+from vibrojax.pictures import plots
+from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import INK, settings
 
 ITEM_MAX_POINTS = 20_000
@@ -64,7 +47,7 @@ _DASHES = {"--": (3.7, 1.6), ":": (1.0, 1.65), "-.": (6.4, 1.6, 1.0, 1.6)}
 
 
 def figure_document(
-    pictures: Sequence[Picture | Figure],
+    pictures: Sequence[plots.Picture | Figure],
     ds: xr.Dataset,
     axes: Sequence[Document],
     drawn: Sequence[str] = (),
@@ -76,13 +59,13 @@ def figure_document(
     names of the variables that the page draws over these axes itself. It also draws maps over two of them, unless
     `maps` is True.
     """
-    plots: list[Document] = []
+    panels: list[Document] = []
     keys: dict[str, Document] = {}
-    for sheet in (as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
-        plots += _plots(sheet, ds, axes, drawn, maps)
+    for sheet in (plots.as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
+        panels += _plots(sheet, ds, axes, drawn, maps)
         keys = {key["text"]: key for key in _keys(sheet, drawn)} | keys
     images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
-    items = [item for plot in plots for item in plot["items"]]
+    items = [item for plot in panels for item in plot["items"]]
     colours = {colour for item in items for colour in (*item.get("colours", ()), item.get("colour", ""))}
     shapes = {item["shape"] for item in items if item["kind"] == "points"}
     # What the page draws itself has no entry here. A sign in ink stands for marks of any colour.
@@ -91,7 +74,7 @@ def figure_document(
         for key in keys.values()
         if key["shape"] == "scale" or key["colour"] in colours or (key["colour"] == INK and key["shape"] in shapes)
     ]
-    return {"plots": plots, "keys": shown, "images": images}
+    return {"plots": panels, "keys": shown, "images": images}
 
 
 def _plots(
@@ -108,7 +91,7 @@ def _plots(
     ups = {(plot.span[0], plot.y.group): plot.y.label for plot in reversed(sheet.plots) if plot.y.label}
     acrosses = {(plot.span[1], plot.x.group): plot.x.label for plot in sheet.plots if plot.x.label}
     beside: str | None = None
-    for plot in resolved(sheet.plots):
+    for plot in plots.resolved(sheet.plots):
         x, y = directions.get(plot.x.name), directions.get(plot.y.name)
         row, column, deep, wide = (*plot.place, 1, 1)[:4]
         titles.setdefault(row, plot.title)
@@ -149,7 +132,7 @@ def _plain(text: str) -> str:
     return one_line(" ".join(text.split()), LABEL_MAX_CHARACTERS)
 
 
-def _axis(axis: Axis, direction: str | None, shared: str) -> Document:
+def _axis(axis: plots.Axis, direction: str | None, shared: str) -> Document:
     ticks = None if axis.ticks is None else [[json_value(float(x)), _plain(text)] for x, text in axis.ticks]
     return {
         "label": _plain(axis.label or (shared if axis.ticks is None else "")),
@@ -167,7 +150,7 @@ def items_of(plot: Plot) -> list[Document]:
     return [item for layer in layers for item in _items(layer, plot)]
 
 
-def _xy(plot: Plot, x: Places, y: Places) -> Document:
+def _xy(plot: Plot, x: plots.Places, y: plots.Places) -> Document:
     """Return places, at most `ITEM_MAX_POINTS`; an infinite coordinate becomes the end of the axis."""
     item = {}
     pairs = np.broadcast_arrays(np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float)))
@@ -182,25 +165,25 @@ def _step(values: np.ndarray) -> int:
     return max(1, -(-len(values) // ITEM_MAX_POINTS))
 
 
-def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
+def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
     """Yield the descriptions of a layer."""
-    about = {"label": "" if isinstance(layer, Cells) else _plain(layer.label)}
-    if isinstance(layer, Line | Points) and np.size(layer.x):
+    about = {"label": "" if isinstance(layer, plots.Cells | plots.Text) else _plain(layer.label)}
+    if isinstance(layer, plots.Line | plots.Points) and np.size(layer.x):
         points = _xy(plot, layer.x, layer.y)
         step = _step(np.broadcast_arrays(np.atleast_1d(layer.x), layer.y)[0])
-        hollow = isinstance(layer, Line) and layer.face in ("none", "white")
-        if isinstance(layer, Line):
+        hollow = isinstance(layer, plots.Line) and layer.face in ("none", "white")
+        if isinstance(layer, plots.Line):
             if layer.dash:
                 look = {"colour": to_hex(layer.colour), "width": layer.width, "dash": _dash(layer.dash, layer.width)}
                 yield {"kind": "line", **about, **points, **look}
             colour = layer.colour if hollow else layer.face or layer.colour
-            layer = Points(layer.x, layer.y, colour, layer.size, layer.marker)
+            layer = plots.Points(layer.x, layer.y, colour, layer.size, layer.marker)
         if layer.marker:
             colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
             sizes = [json_value(float(f"{size / 2:.3g}")) for size in np.atleast_1d(layer.sizes)[::step]]
             look = {"colours": [to_hex(colour) for colour in colours], "sizes": sizes, "hollow": hollow}
             yield {"kind": "points", **about, **points, **look, "shape": layer.marker}
-    elif isinstance(layer, Bars):
+    elif isinstance(layer, plots.Bars):
         sides = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
         colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)
         level = plot.y.ticks is not None and plot.x.ticks is None
@@ -209,7 +192,7 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
             tip = _xy(plot, [x + width / (2 - level)], [y + height / (1 + level)])
             look = {"colour": "hatched" if layer.hatch else to_hex(colours[k % len(colours)]), "alpha": 1.0}
             yield {"kind": "area", **about, **corners, **look, "at": [tip["x"][0], tip["y"][0]]}
-    elif isinstance(layer, Area):
+    elif isinstance(layer, plots.Area):
         x, low, high = (np.atleast_1d(np.asarray(values, float)) for values in (layer.x, layer.low, layer.high))
         if layer.step:
             x, low, high = np.repeat(x, 2)[1:], np.repeat(low, 2)[:-1], np.repeat(high, 2)[:-1]
@@ -220,7 +203,7 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
                 place = _xy(plot, np.append(x[part], x[part][::-1]), np.append(low[part], high[part][::-1]))
                 colour = "hatched" if layer.hatch else to_hex(layer.colour)
                 yield {"kind": "area", **about, **place, "colour": colour, "alpha": layer.alpha}
-    elif isinstance(layer, Cells):
+    elif isinstance(layer, plots.Cells):
         rgba = layer.colour_map(layer.norm(np.ma.masked_invalid(layer.values))).reshape(-1, 4)
         palette, indices = np.unique((rgba * 255).round().astype(int), axis=0, return_inverse=True)
         indices = np.where(np.isnan(layer.values).ravel() | (rgba[:, 3] == 0), -1, indices.ravel())
@@ -230,7 +213,7 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
         values = [json_value(float(f"{value:.5g}")) for value in layer.values.ravel().tolist()]
         packed = {"colours": names, "data": pack(indices.astype(np.int32)), "hatched": layer.hatched}
         yield {"kind": "cells", **ends, **packed, "values": values, "names": texts}
-    elif isinstance(layer, Text):
+    elif isinstance(layer, plots.Text):
         places = [layer.x, layer.y]
         for k, axis in enumerate((plot.x, plot.y) if layer.relative else ()):
             share = 1 - places[k] if axis.reversed else places[k]
@@ -246,7 +229,7 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
         }
 
 
-def _dash(dash: Dash, width: float) -> list[float]:
+def _dash(dash: plots.Dash, width: float) -> list[float]:
     lengths = _DASHES.get(dash, ()) if isinstance(dash, str) else dash[1]
     return [round(1.3 * width * float(x), 3) for x in lengths]
 
@@ -260,10 +243,10 @@ def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
             text = _plain(value.label)
             text = f"{text}: {low} to {high}" if text else f"{low} to {high}"
             yield {"text": text, "shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
-    own = [entry for plot in sheet.plots if plot.keys for entry in labelled_layers(plot)]
-    for entry in (*own, *(entry for group in legend_of(sheet) for entry in group)):
+    own = [entry for plot in sheet.plots if plot.keys for entry in plots.labelled_layers(plot)]
+    for entry in (*own, *(entry for group in plots.legend_of(sheet) for entry in group)):
         key: dict[str, Any] = {"text": _plain(entry.label), "dash": [], "hollow": False}
-        if isinstance(entry, Area):
+        if isinstance(entry, plots.Area):
             yield key | {"shape": "patch", "colour": "hatched" if entry.hatch else to_hex(entry.colour)}
             continue
         key |= {"colour": to_hex(entry.colour), "hollow": entry.face in ("none", "white")}

@@ -20,27 +20,10 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from vibrojax.pictures import plots
 from vibrojax.pictures.axes import broken
 from vibrojax.pictures.layout import LETTERS, WIDTH, in_width
-from vibrojax.pictures.plots import (
-    Area,
-    Axis,
-    Bars,
-    Cells,
-    Key,
-    Layer,
-    Line,
-    Picture,
-    Places,
-    Plot,
-    Points,
-    Sheet,
-    Text,
-    as_sheet,
-    labelled_layers,
-    legend_of,
-    resolved,
-)
+from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import NO_VALUE, plain, settings
 
 # Sizes of type where panels are made narrower.
@@ -84,14 +67,14 @@ def new_figure(width: float, height: float) -> OwnFigure:
     return figure
 
 
-def draw(picture: Picture | Figure) -> Figure:
+def draw(picture: plots.Picture | Figure) -> Figure:
     """Draw plots; a figure is returned as it is."""
     width = WIDTH.get()
     if isinstance(picture, Figure):
         if width:
             picture.set_size_inches(width, picture.get_figheight() * width / picture.get_figwidth())
         return picture
-    sheet = as_sheet(picture)
+    sheet = plots.as_sheet(picture)
     with settings(_SMALL if width and width < sheet.size[0] else {}):
         sheet = in_width(sheet, width) if width else sheet
         figure = new_figure(*sheet.size)
@@ -109,25 +92,25 @@ def _draw_plots(figure: Figure, sheet: Sheet) -> None:
     """Draw the plots of a sheet, and one colour bar below the plots of each quantity."""
     size = len(sheet.heights), len(sheet.widths)
     grid = GridSpec(*size, figure, height_ratios=sheet.heights, width_ratios=sheet.widths)
-    plots, panels = resolved(sheet.plots), []
-    for plot in plots:
+    shown, panels = plots.resolved(sheet.plots), []
+    for plot in shown:
         row, column, deep, wide = plot.span
         panels.append(figure.add_subplot(grid[row : row + deep, column : column + wide]))
-        _draw_plot(panels[-1], plot, plots)
-    for value in {id(plot.scale): plot.scale for plot in plots if plot.scale is not None}.values():
-        below = [axes for axes, plot in zip(panels, plots, strict=True) if plot.scale is value]
-        columns = {plot.place[1]: plot.span[3] for plot in plots if plot.scale is value}
+        _draw_plot(panels[-1], plot, shown)
+    for value in {id(plot.scale): plot.scale for plot in shown if plot.scale is not None}.values():
+        below = [axes for axes, plot in zip(panels, shown, strict=True) if plot.scale is value]
+        columns = {plot.place[1]: plot.span[3] for plot in shown if plot.scale is value}
         letters = int(LETTERS * sheet.size[0] * sum(columns.values()) / len(sheet.widths))
         intervals = _BAR_INTERVALS if sheet.beside else _FEW_INTERVALS
         _draw_scale(figure, below, value, broken(value.label, letters), _BAR_ASPECT * len(columns), intervals)
 
 
-def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
+def _draw_plot(axes: Axes, plot: Plot, shown: Sequence[Plot]) -> None:
     for layer in plot.layers:
         _draw_layer(axes, layer, plot)
     row, column = plot.place[:2]
-    same_column = [p for p in plots if p.x.group == plot.x.group != "" and p.place[1] == column]
-    same_row = [p for p in plots if p.y.group == plot.y.group != "" and p.place[0] == row]
+    same_column = [p for p in shown if p.x.group == plot.x.group != "" and p.place[1] == column]
+    same_row = [p for p in shown if p.y.group == plot.y.group != "" and p.place[0] == row]
     _draw_axis(axes, "x", plot.x, outer=not any(p.place[0] > row for p in same_column))
     _draw_axis(axes, "y", plot.y, outer=not any(p.place[1] < column for p in same_row))
     if plot.grid and not plot.has_cells:
@@ -143,10 +126,10 @@ def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
         if plot.keys in _ABOVE:
             loc, x = _ABOVE[plot.keys]
             place = {"loc": loc, "bbox_to_anchor": (x, 1.0), "borderpad": 0.0, "borderaxespad": 0.3}
-        axes.legend(handles=[_handle(layer) for layer in labelled_layers(plot)], ncols=plot.key_columns, **place)
+        axes.legend(handles=[_handle(layer) for layer in plots.labelled_layers(plot)], ncols=plot.key_columns, **place)
 
 
-def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: Axis, outer: bool) -> None:
+def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: plots.Axis, outer: bool) -> None:
     """Set scale, limits, ticks and label of an axis; only the `outer` panels have labels."""
     axis = getattr(axes, f"{which}axis")
     low, high = shown.limits
@@ -170,18 +153,18 @@ def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: Axis, outer: bool) -
     axis.set_label_text(plain(shown.label) if outer else "")
 
 
-def _draw_layer(axes: Axes, layer: Layer, plot: Plot) -> None:
+def _draw_layer(axes: Axes, layer: plots.Layer, plot: Plot) -> None:
     stroke: dict[str, Any] = {}
-    if isinstance(layer, Line | Text) and layer.halo:
-        width = 2 * layer.halo + (layer.width if isinstance(layer, Line) else 0.0)
+    if isinstance(layer, plots.Line | plots.Text) and layer.halo:
+        width = 2 * layer.halo + (layer.width if isinstance(layer, plots.Line) else 0.0)
         stroke = {"path_effects": [withStroke(linewidth=width, foreground="white")]}
-    if isinstance(layer, Line):
+    if isinstance(layer, plots.Line):
         edge = _BELOW_EDGE if layer.marker else 1.0
         x, y = np.broadcast_arrays(_inside(layer.x, plot.x), _inside(layer.y, plot.y, edge))
         (line,) = axes.plot(x, y, **_line_look(layer), **stroke, zorder=layer.order)
         line.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
         line.set_rasterized(x.size > 20 * _MANY_POINTS)
-    elif isinstance(layer, Points):
+    elif isinstance(layer, plots.Points):
         x, y = _inside(layer.x, plot.x), _inside(layer.y, plot.y)
         look: dict[str, Any] = {"marker": layer.marker, "linewidths": layer.edge_width, "hatch": layer.hatch or None}
         look |= {"edgecolors": layer.edge} if layer.edge else {}
@@ -190,17 +173,17 @@ def _draw_layer(axes: Axes, layer: Layer, plot: Plot) -> None:
             many = len(x) > _MANY_POINTS
             shown = axes.scatter(x, y, s=area, c=layer.colours, zorder=layer.order, rasterized=many, **look)
             shown.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
-    elif isinstance(layer, Bars):
+    elif isinstance(layer, plots.Bars):
         x, y, wide, high = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
         look = {"edgecolor": layer.edge or "none", "linewidth": 0.4, "hatch": layer.hatch or None}
         axes.bar(x, high, wide, y, align="edge", color=layer.colours, zorder=layer.order, **look)
-    elif isinstance(layer, Area):
+    elif isinstance(layer, plots.Area):
         x, low, high = _inside(layer.x, plot.x), _inside(layer.low, plot.y), _inside(layer.high, plot.y)
         look = {"facecolor": to_rgba(layer.colour, layer.alpha), "hatch": layer.hatch or None, "zorder": layer.order}
         look |= {"edgecolor": layer.edge or "none", "linewidth": 0.6 if layer.edge else 0.0}
         if x.size:
             axes.fill_between(x, low, high, step="post" if layer.step else None, **look)
-    elif isinstance(layer, Cells):
+    elif isinstance(layer, plots.Cells):
         if layer.hatched and np.isnan(layer.values).any():
             axes.patch.set(**NO_VALUE, linewidth=0.0)
         look = {"cmap": layer.colour_map, "norm": layer.norm, "zorder": layer.order, "rasterized": True}
@@ -212,14 +195,14 @@ def _draw_layer(axes: Axes, layer: Layer, plot: Plot) -> None:
         axes.annotate(plain(layer.text), (layer.x, layer.y), **look)
 
 
-def _inside(values: Places, axis: Axis, edge: float = 1.0) -> np.ndarray:
+def _inside(values: plots.Places, axis: plots.Axis, edge: float = 1.0) -> np.ndarray:
     """Return coordinates in which the ends of the axis, or a fraction `edge` of it, replace infinity."""
     low, high = (float(end or 0.0) for end in axis.limits)
     array = np.atleast_1d(np.asarray(values, float))
     return np.where(np.isinf(array), np.where(array > 0, low + edge * (high - low), low), array)
 
 
-def _line_look(layer: Line) -> dict[str, Any]:
+def _line_look(layer: plots.Line) -> dict[str, Any]:
     look: dict[str, Any] = {"color": layer.colour, "linewidth": layer.width, "linestyle": layer.dash or "none"}
     if layer.marker:
         look |= {"marker": layer.marker, "markersize": layer.size, "markeredgewidth": layer.edge_width}
@@ -227,9 +210,9 @@ def _line_look(layer: Line) -> dict[str, Any]:
     return look | {"alpha": layer.alpha}
 
 
-def _handle(key: Key) -> Artist:
+def _handle(key: plots.Key) -> Artist:
     """Return an entry of a legend."""
-    if isinstance(key, Line):
+    if isinstance(key, plots.Line):
         return Line2D([], [], label=plain(key.label), **_line_look(key))
     hollow = key.colour == "none"
     look: dict[str, Any] = {"edgecolor": key.edge or "none", "linewidth": 1.3 if hollow else 0.4}
@@ -239,7 +222,7 @@ def _handle(key: Key) -> Artist:
 
 def _draw_legend(figure: Figure, sheet: Sheet) -> None:
     """Draw one legend at the right of all plots, with gaps between its groups, or below them in columns that fit."""
-    groups = [[_handle(layer) for layer in group] for group in legend_of(sheet)]
+    groups = [[_handle(layer) for layer in group] for group in plots.legend_of(sheet)]
     if not groups:
         return
     if sheet.beside:

@@ -16,22 +16,8 @@ from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, RELIEF, SENSITIVE, START, lane_dims, varied
 from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, Facets, at, facets, is_narrow
 from vibrojax.pictures.overlays import check_borders, codim2_layers, over_map_text, over_panel
-from vibrojax.pictures.plots import (
-    INK,
-    Axis,
-    Bars,
-    Cells,
-    Layer,
-    Line,
-    Look,
-    Plot,
-    Points,
-    Sheet,
-    Text,
-    colours_of,
-    dots,
-)
-from vibrojax.pictures.style import NO_VALUE, NOTHING
+from vibrojax.pictures.plots import Axis, Bars, Cells, Layer, Line, Look, Plot, Points, Sheet, Text, colours_of, dots
+from vibrojax.pictures.style import INK, NO_VALUE, NOTHING
 
 Values = Sequence[Value]
 

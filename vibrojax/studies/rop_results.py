@@ -17,7 +17,7 @@ from vibrojax.io.attributes import attribute_of, flags, table_of
 from vibrojax.io.log_columns import RATE
 from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.physics.units import factor
-from vibrojax.pictures.axes import in_units, margins, pretty_unit, scale, with_unit
+from vibrojax.pictures.axes import in_units, margins, number, pretty_unit, scale, with_unit
 from vibrojax.pictures.colours import form_colour, value_axis, value_of
 from vibrojax.pictures.contents import FORM, POINT, law_in, named_groups
 from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets, stacked
@@ -351,7 +351,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
             layers.append(Line([across * end, across * high], [curve[-1], curve[-1] - fall], **look))
         if int(of["standing"]) == Standing.CHOSEN and not (group["standing"] == Standing.UNDECIDED).any():
             c, half = (scale_of_rate * float(of[part]) for part in ("C", "C_stderr"))
-            title = f"{title}\nC = {c:.3g} ± {half:.1g} {pretty_unit(unit)}".strip()
+            title = f"{title}\nC = {c:.3g} ± {number(float(f'{half:.1g}'))} {pretty_unit(unit)}".strip()
     if end < high:
         layers.append(upright(across * end, dash=":", width=1.0, label="founder weight"))
     # Neither weights beyond reason nor the curve of a form far from the data stretch the axes.
