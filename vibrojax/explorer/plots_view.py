@@ -93,7 +93,7 @@ def _plots(
     beside: str | None = None
     for plot in plots.resolved(sheet.plots):
         x, y = directions.get(plot.x.name), directions.get(plot.y.name)
-        row, column, deep, wide = (*plot.place, 1, 1)[:4]
+        row, column, deep, wide = plot.span
         titles.setdefault(row, plot.title)
         if not plot.layers or (x and ((y and not maps) or plot.y.name in drawn)):
             continue

@@ -68,10 +68,8 @@ class Series(NamedTuple):
 
 def starts_of(ds: xr.Dataset) -> list[Series]:
     """Return the lanes of each initial condition, with an empty name if there is no dimension `start`."""
-    if START not in lane_dims(ds):
-        return [Series("", start_colour("", 0), ds)]
-    names = [axes.short(str(name)) for name in ds[START].values]
-    return [Series(name, start_colour(name, i), ds.isel({START: i})) for i, name in enumerate(names)]
+    lines = split_lines(ds, START if START in lane_dims(ds) else "")
+    return [line._replace(name=line.name.removeprefix(f"{START}: ")) for line in lines]
 
 
 # Above the regimes.
