@@ -23,9 +23,8 @@ def folder(tmp_path_factory):
     ("words", "absent"),
     [
         (["scenes"], ["jax", "jaxlib", "matplotlib", "pandas", "scipy", "xarray"]),
-        (["info", "map.nc"], ["jax", "jaxlib", "matplotlib"]),
         (["info", "map.nc", "--json"], ["jax", "jaxlib", "matplotlib"]),
-        (["plot", "map.nc"], ["jax", "jaxlib"]),
+        (["plot", "map.nc"], ["jax", "jaxlib", "matplotlib.pyplot"]),
     ],
     ids=" ".join,
 )
