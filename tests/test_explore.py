@@ -19,7 +19,7 @@ from matplotlib.colors import Normalize
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, page_text, write, write_page
+from vibrojax.explorer import Cell, contents_of, encode, module_text, page_text, write, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
@@ -147,18 +147,14 @@ def test_sticking_bit_moves_back_with_drive(cells: list[Cell]) -> None:
     assert events["stick"] >= 1 and events["slip"] >= 4
 
 
-def test_trajectory_ends_like_its_lane(cells: list[Cell]) -> None:
-    lane = next(cell.lane for cell in cells if cell.kind == "orbit" and cell.returns == 1)
-    cell, lane_cell = cell_of(run_of(lane)), cells[lane]
-    assert (cell.kind, cell.returns) == ("orbit", 1)
-    assert cell.duration == pytest.approx(lane_cell.duration, rel=1e-5)
-    for name in ("x1", "x2"):
-        ends = [(np.min(motion.states[name]), np.max(motion.states[name])) for motion in (cell, lane_cell)]
-        np.testing.assert_allclose(ends[0], ends[1], atol=3e-3 * np.ptp(ends[1]))
-    assert cell.numbers is not None and cell.numbers["regime"] == 3
-
-
 # Documents.
+
+
+def test_page_of_default_map_is_under_ten_megabytes(plane: xr.Dataset, cells: list[Cell]) -> None:
+    """Extrapolate the size from eight lanes."""
+    document, size = contents_of(plane).document, sum(map(len, blocks_of(cells)))
+    size += sum(len(entry["data"]["data"]) for entry in document["variables"])
+    assert size / len(cells) > 300 and 8280 * size / len(cells) + len(page_text(document)) < 10e6
 
 
 def test_document_holds_numbers_of_dataset(plane: xr.Dataset) -> None:
@@ -217,26 +213,13 @@ def test_every_kind_of_special_point_has_a_shape() -> None:
 # The page.
 
 
-def test_page_of_default_map_is_under_ten_megabytes() -> None:
-    """Extrapolate the size from a coarser grid over the same plane."""
-    plane = {"beta": {"start": 0.1, "stop": 1.2, "num": 5}, "gamma": {"start": 0.3, "stop": 1.2, "num": 6}}
-    grid = plane | {"delta": [-0.005, 0.005]}
-    ds = vj.run_sweep({**PLANE, "grid": grid}, progress=False)
-    contents = contents_of(ds, progress=False)
-    blocks, document = blocks_of(contents.cells), contents.document
-    text = page_text(document, blocks)
-    bytes_per_lane = (sum(map(len, blocks)) + sum(len(entry["data"]["data"]) for entry in document["variables"])) / ds[
-        "regime"
-    ].size
-    assert 8280 * bytes_per_lane + len(text) < 10e6
-    assert bytes_per_lane > 300  # the page is not empty
-
-
 def test_page_loads_nothing_and_text_cannot_end_its_script(plane: xr.Dataset, tmp_path: Path) -> None:
     named = plane.assign_attrs(title="</script><script>alert(1)</script>")
     path = write_page(named, tmp_path / "page.html", progress=False)
     text = path.read_text(encoding="utf-8")
     assert "@" not in re.sub(r"@(media|supports|container)", "", text.split("<body>")[0])
+    policy = text.partition('http-equiv="Content-Security-Policy"')[2].partition(">")[0]
+    assert "default-src 'none'" in policy and "connect-src 'none'" in policy and "unsafe" not in policy
     assert text.count("</script>") == 3 and "alert(1)</script>" not in text
     assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!data:)""", text)
     assert not re.findall(r"\b(?:fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon|import)\s*\(", text)
@@ -298,15 +281,15 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     document = figure_document([sheet], ds, axes)
     first, second = document["plots"]
     line, marks, points, area, upright, bar, text = (
-        next(item for item in first["items"] if item["kind"] == kind and test(item))
-        for kind, test in (
-            ("line", lambda item: item["colour"] == "#112233"),
-            ("points", lambda item: item["shape"] == "s"),
-            ("points", lambda item: item["shape"] == "o"),
-            ("area", lambda item: item["alpha"] == 0.5),
-            ("line", lambda item: item["colour"] == "#123456"),
-            ("area", lambda item: item["colour"] == "#00aa00"),
-            ("text", lambda item: True),
+        next(item for item in first["items"] if item["kind"] == kind and item.get(key) == value)
+        for kind, key, value in (
+            ("line", "colour", "#112233"),
+            ("points", "shape", "s"),
+            ("points", "shape", "o"),
+            ("area", "alpha", 0.5),
+            ("line", "colour", "#123456"),
+            ("area", "colour", "#00aa00"),
+            ("text", "text", "in the middle"),
         )
     )
     assert line["x"] == marks["x"] == x.tolist() and line["y"] == (2 * x).tolist() and line["dash"]

@@ -1,4 +1,4 @@
-"""Tests of the live server: which requests it refuses, in which order it answers, and that it leaves nothing behind."""
+"""Tests of the live server: which requests it refuses, and that it leaves nothing behind."""
 
 import http.client
 import json
@@ -11,16 +11,16 @@ from urllib.parse import quote
 import pytest
 
 from vibrojax.errors import InputError
-from vibrojax.explorer.live import Live, RefusedRequest
+from vibrojax.explorer.live import Live
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 
 
 class SlowAnswers:
-    """A source of answers that repeats the parameters after a delay, unless a newer request arrives."""
+    """A source of answers that repeats the parameters after a delay, unless the server stops."""
 
     def __init__(self, seconds=0.0):
-        self.seconds, self.answered, self.superseded, self.warmed = seconds, [], 0, threading.Event()
+        self.seconds, self.warmed = seconds, threading.Event()
 
     def warm(self):
         self.warmed.set()
@@ -33,12 +33,7 @@ class SlowAnswers:
         end = time.monotonic() + self.seconds
         while time.monotonic() < end:
             time.sleep(0.001)
-            try:
-                check()
-            except RefusedRequest as refusal:
-                self.superseded += refusal.status == 409
-                raise
-        self.answered.append(message["parameters"])
+            check()
         return json.dumps(message["parameters"]).encode()
 
 
@@ -97,12 +92,11 @@ def refusal(live, *args, **kwargs):
     return status, line
 
 
-def send_raw(live, content, end=False):
+def send_raw(live, content):
     """Return all bytes that the server sends back for `content`."""
     with socket.create_connection(("127.0.0.1", live.port), 10) as connection:
         connection.sendall(content)
-        if end:
-            connection.shutdown(socket.SHUT_WR)
+        connection.shutdown(socket.SHUT_WR)
         received = b""
         while part := connection.recv(65536):
             received += part
@@ -128,12 +122,12 @@ def test_server_listens_on_loopback_only_and_cannot_be_framed(live):
         assert request(live, body=request_body(), Host=own, Origin=f"http://{own.lower()}")[0] == 200
 
 
-HOSTS = ("evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "", "[::1]:{port}")
-ORIGINS = ("http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1", "")
-TOKENS = ("", "motion", "x" * 43, quote("é"), "../" * 9, "%00", "{token:.42}", "{token}x")
-PATHS = ("nowhere", "motion/", "../../etc/passwd", "motion?x=1", "?x=1")
-BODIES = ("", "{", "[]", "3", "null", '{"client": 3}', '{"client": "", "number": 1}', '{"client": "a", "number": true}')
-BODIES += ('{"client": "a", "number": -1}', '{"client": "a", "number": 1e9}', '{"client": "a"}', "\xff", "[" * 9000)
+HOSTS = ("evil.example:{port}", "127.0.0.1:1", "", "[::1]:{port}")
+ORIGINS = ("http://evil.example", "null", "https://127.0.0.1:{port}", "")
+TOKENS = ("", "x" * 43, quote("é"), "../" * 9, "{token:.42}", "{token}x")
+PATHS = ("nowhere", "motion/", "../../etc/passwd", "motion?x=1")
+BODIES = ("", "[]", '{"client": 3}', '{"client": "", "number": 1}', '{"client": "a", "number": true}')
+BODIES += ('{"client": "a", "number": -1}', '{"client": "a"}', "\xff", "[" * 9000)
 REFUSED = [
     *((403, "Host", host) for host in HOSTS),  # DNS rebinding: another name for the loopback is another host
     *((403, "Origin", origin) for origin in ORIGINS),
@@ -143,23 +137,27 @@ REFUSED = [
     *((404, "path", path) for path in PATHS),
     (405, "path", ""),
     *((400, "body", body) for body in BODIES),
-    *((413, "body", body) for body in ("x" * 20_000, "x" * 3_000_000)),
+    (413, "body", "x" * 20_000),
 ]
 
 
-@pytest.mark.parametrize(("status", "what", "given"), REFUSED, ids=lambda value: str(value)[:20])
-def test_wrong_requests_are_refused(live, status, what, given):
-    given = given.format(port=live.port, token=live.token) if "{" not in given[:1] else given
-    named = {what: given.encode("latin-1") if what == "body" else given} if what in ("token", "path", "body") else {}
-    headers = {} if named else {what.replace("-", "_"): given}
-    code, line = refusal(live, **{"body": request_body()} | named, **headers)
-    assert code == status and line and live.token not in line
-    if what in ("Host", "token", "path") and given:
-        assert refusal(live, "GET", **{"path": ""} | named, **headers)[0] == status
+@pytest.mark.parametrize("what", ["Host", "Origin", "Sec-Fetch-Site", "Content-Type", "token", "path", "body"])
+def test_wrong_requests_are_refused(live, what):
+    for status, _, given in (row for row in REFUSED if row[1] == what):
+        if what != "body":
+            given = given.format(port=live.port, token=live.token)
+        named = {what: given.encode("latin-1") if what == "body" else given}
+        headers = {}
+        if what not in ("token", "path", "body"):
+            named, headers = {}, {what.replace("-", "_"): given}
+        code, line = refusal(live, **{"body": request_body()} | named, **headers)
+        assert code == status and line and live.token not in line, given
+        if what in ("Host", "token", "path") and given:
+            assert refusal(live, "GET", **{"path": ""} | named, **headers)[0] == status, given
 
 
 def test_wrong_methods_are_refused(live):
-    for method in ("PUT", "DELETE", "PATCH", "TRACE", "OPTIONS", "FOO"):
+    for method in ("PUT", "TRACE", "FOO"):
         status, headers, _ = request(live, method, "motion")
         assert status == 405 and headers["Allow"] == "GET, HEAD, POST"
     assert refusal(live, "GET", "motion")[0] == 405
@@ -176,18 +174,18 @@ RAW = [
     ("GET / HTTP/1.1\r\n" + "".join(f"X-{k}: y\r\n" for k in range(200)) + "\r\n", 431),
     (POST + "\r\n", 411),
     (POST + "Transfer-Encoding: chunked\r\n\r\n2\r\n{{}}\r\n0\r\n\r\n", 411),
-    *((POST + f"Content-Length: {length}\r\n\r\n", 400) for length in ("-1", "+1", "1_0", "x", "")),
+    *((POST + f"Content-Length: {length}\r\n\r\n", 400) for length in ("-1", "1_0", "")),
     (POST + "Content-Length: 1\r\nContent-Length: 2\r\n\r\n", 400),
     (POST + "Content-Length: 9\r\n\r\n{{}}", 400),
-    *((begin + "\r\n\r\n", None) for begin in ("\x16\x03\x01\x02\x00\x01", "GET", "GET / HTTP/9.9", "GET / HTTP/x")),
+    *((begin + "\r\n\r\n", None) for begin in ("\x16\x03\x01\x02\x00\x01", "GET", "GET / HTTP/9.9")),
 ]
 
 
-@pytest.mark.parametrize(("content", "status"), RAW, ids=lambda value: str(value)[-20:])
-def test_malformed_requests_are_refused(live, content, status):
-    answer = send_raw(live, content.format(port=live.port, token=live.token).encode("latin-1"), end=True)
-    assert b"200 OK" not in answer
-    assert status is None or answer.startswith(f"HTTP/1.1 {status}".encode())
+def test_malformed_requests_are_refused(live):
+    for content, status in RAW:
+        answer = send_raw(live, content.format(port=live.port, token=live.token).encode("latin-1"))
+        assert b"200 OK" not in answer
+        assert status is None or answer.startswith(f"HTTP/1.1 {status}".encode()), content
 
 
 def test_wrong_values_give_one_line_and_faults_stay_hidden(live):

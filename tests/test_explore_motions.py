@@ -53,21 +53,6 @@ def test_motion_has_numbers_of_simulate(motions, start):
     assert set(cell.numbers) == {name for name, data in motion.data_vars.items() if data.ndim == 0}
 
 
-def test_cell_lies_on_trajectory(motions):
-    """At the cell's times, the trajectory of `simulate` agrees to a level of the cell's columns."""
-    cell = decode_single(motions.answer({"parameters": {"beta": 0.4, "gamma": 0.75, "v": 1.5}}, no_newer_request))
-    motion = vj.simulate("vibro-impact", duration=14.0, sampling=1e-4, progress=False)
-    sections = motion["event_time"].values[motion["event_kind"].values == 5]
-    assert cell.kind == "orbit" and cell.duration == pytest.approx(sections[-1] - sections[-1 - cell.returns], rel=1e-6)
-    for name in ("x1", "v1", "x2", "v2"):
-        times = sections[-1 - cell.returns] + cell.time
-        expected = np.interp(times, motion["time"], motion[name])
-        rate = np.abs(np.gradient(motion[name], motion["time"])).max()
-        # States and times are both rounded to their levels.
-        tolerance = 0.6 * np.ptp(expected) / encoding.STATE_LEVELS + 0.6 * rate * cell.duration / encoding.TIME_LEVELS
-        np.testing.assert_allclose(cell.states[name], expected, atol=tolerance)
-
-
 def test_lanes_match_sweep(dataset, motions):
     """A lane number selects the parameters and the start of that lane, be it named or a vector."""
     for number in range(12):

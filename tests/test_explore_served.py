@@ -1,12 +1,9 @@
 """Tests of `vibrojax explore OUT.nc --live`: its output, how it ends, and the page in a browser."""
 
-import json
 import os
 import re
-import shutil
 import signal
 import socket
-import subprocess
 import time
 import urllib.request
 from contextlib import contextmanager
@@ -16,7 +13,7 @@ from urllib.request import url2pathname
 
 import pytest
 from browser import chromium, new_page, wrong
-from commands import ROOT, start
+from commands import start
 from small_map import small_map
 
 import vibrojax as vj
@@ -62,13 +59,6 @@ def assert_ends(process, url, sent, file):
         socket.create_connection(("127.0.0.1", port), 1).close()
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_command_serves_until_interrupted(file, sent):
-    with running_command("explore", file, "--live", "--no-browser") as process:
-        assert_ends(process, process.stdout.readline().strip(), sent, file)
-
-
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -104,13 +94,6 @@ def test_browser_arguments_hold_no_token(file, tmp_path):
         assert target == url
         assert_ends(process, url, signal.SIGINT, file)
     assert not redirect.parent.exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"), [(["rotary", "v=-1"], "v: is -1"), (["rotry"], 'did you mean "rotary"?')]
-)
-def test_wrong_scenes_are_refused(words, message, capsys):
-    assert main(["explore", *words, "--live"]) == 2 and message in capsys.readouterr().err
 
 
 @contextmanager
@@ -173,39 +156,6 @@ def test_stopped_server_is_reported():
         live.close()
         page.locator("input[data-parameter=v]").press("ArrowLeft")
         page.locator(".vx-wrong", has_text="the server does not answer; it may have been stopped").wait_for()
-
-
-def run_module(script):
-    """Return what a script prints that imports modules of the page."""
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("no node here")
-    call = [node, "--input-type=module", "-e", script]
-    page = ROOT / "vibrojax" / "explorer" / "page"
-    process = subprocess.run(call, capture_output=True, text=True, cwd=page, timeout=300)
-    assert process.returncode == 0, process.stderr
-    return json.loads(process.stdout)
-
-
-def test_text_of_motion_agrees_with_label():
-    """A motion that is simulated anew may be another one; the text never contradicts the label."""
-    script = """
-      import { described } from "./cell.js";
-      const cell = { duration: 1, flags: [], note: "" };
-      const text = (kind, returns, ...labelled) => described({ ...cell, kind, returns }, ...labelled);
-      console.log(JSON.stringify([text("orbit", 1), text("orbit", 1, 1), text("motion", 5), text("motion", 5, 0),
-        text("motion", 5, 1), text("orbit", 1, 2), text("orbit", 2, 0), text("orbit", 2, null),
-        text("motion", 5, null)]));
-    """
-    texts = run_module(script)
-    assert texts[:4] == ["repeats after 1 return, 1 s"] * 2 + ["does not repeat; 5 returns are shown, 1 s"] * 2
-    another = "simulated anew it ends in another motion"
-    assert texts[4:7] == [
-        f"repeats after 1 return; {another}: 5 returns are shown, 1 s",
-        f"repeats after 2 returns; {another}: 1 return are shown, 1 s",
-        f"does not repeat; {another}: 2 returns are shown, 1 s",
-    ]
-    assert texts[7:] == ["2 returns are shown, 1 s", "5 returns are shown, 1 s"]
 
 
 def test_badge_and_text_of_cell_agree(dataset, tmp_path):

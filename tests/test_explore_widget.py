@@ -88,11 +88,6 @@ def test_failed_computations_are_reported(widget, sent):
     assert len(sent) == 1
 
 
-def test_widget_without_kernel_holds_motions(dataset):
-    static = vj.explore(dataset, live=False)
-    assert static.offered is None and static.document["cells"] == {"size": 256, "blocks": 1} and len(static.blocks) == 1
-
-
 def test_part_of_sweep(dataset):
     """Its lanes are those of its coordinates."""
     part = dataset.isel(beta=[0, 2], start=0)
