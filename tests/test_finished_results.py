@@ -58,12 +58,6 @@ def test_finished_sweep_is_not_recomputed(folder, capsys):
     assert (folder / "map.nc").stat().st_mtime_ns > written_at
 
 
-def test_chunks_left_beside_dataset_are_removed(folder):
-    assert sweep_status(folder, 0.6) == 0
-    (folder / "map.nc.chunks").mkdir()  # left by a run that ended before it removed them
-    assert main(["sweep", "map.toml"]) == 0 and not (folder / "map.nc.chunks").exists()
-
-
 POINT = ["simulate", "rotary", "duration=0.2"]
 
 

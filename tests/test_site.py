@@ -42,6 +42,16 @@ def test_every_public_name_is_in_reference():
     assert sorted(set(vj.__all__) - documented) == [], "write these onto a page of notebooks/api"
 
 
+def test_gallery_shows_every_script_with_its_picture():
+    """The build of the site runs the scripts, and an error in one of them ends it."""
+    names = sorted(script.stem for script in (ROOT / "notebooks" / "gallery").glob("*.py"))
+    page = (ROOT / "notebooks" / "gallery.md").read_text()
+    assert len(names) >= 12
+    assert sorted(re.findall(r"\{literalinclude\} gallery/(\w+)\.py", page)) == names
+    assert sorted(re.findall(r'^made_by\("(\w+)"\)$', page, re.MULTILINE)) == names
+    assert len(re.findall(r'^    alt: "[^"]+"$', page, re.MULTILINE)) == len(names)
+
+
 def test_notebooks_have_no_stored_outputs():
     assert [path.name for path in (ROOT / "notebooks").glob("*.ipynb") if '"output_type"' in path.read_text()] == []
 
