@@ -91,9 +91,9 @@ REFUSED: dict[str, tuple[Change, str]] = {
 """Malformed datasets, each with a part of the error message."""
 
 SHOWN: dict[str, Change] = {
-    "texts that are long, steer and are markup": lambda ds: each_variable(
-        long_name=MARKUP, units=MARKUP, symbol=MARKUP
-    )(ds.assign_attrs(history=HUGE, title=f"{STEERING} {MARKUP}", scene=MARKUP, friction=MARKUP, start=MARKUP)),
+    "texts that steer": lambda ds: each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(
+        ds.assign_attrs(history=HUGE, title=f"{STEERING} {MARKUP}", scene=MARKUP, friction=MARKUP, start=MARKUP)
+    ),
     "a variable called __proto__": lambda ds: ds.rename(period="__proto__"),
     "no attributes": lambda ds: ds.drop_attrs(),
     "nothing but NaN": lambda ds: ds.assign({name: ds[name] * np.nan for name in ds.data_vars if ds[name].ndim}),

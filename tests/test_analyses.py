@@ -1,6 +1,5 @@
 """Test that analyses are looked up by the kind of a dataset, including those that other packages register."""
 
-import importlib
 import io
 import json
 from contextlib import redirect_stdout
@@ -33,9 +32,15 @@ def campbell(tmp_path_factory):
     folder = tmp_path_factory.mktemp("outside")
     (folder / "campbell-1.0.dist-info").mkdir()
     (folder / "campbell-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: campbell\nVersion: 1.0\n")
-    entry_points = "[vibrojax.analyses]\ncampbell = campbell:Campbell\nbroken = campbell:SAMPLES\n"
-    (folder / "campbell-1.0.dist-info" / "entry_points.txt").write_text(entry_points)
-    (folder / "campbell.py").write_text((OUTSIDE / "campbell.py").read_text())
+    entry_points = "campbell = campbell:Campbell\nbroken = campbell:SAMPLES\nfaulty = faulty:Campbell\n"
+    (folder / "campbell-1.0.dist-info" / "entry_points.txt").write_text(f"[vibrojax.analyses]\n{entry_points}")
+    text = (OUTSIDE / "campbell.py").read_text()
+    (folder / "campbell.py").write_text(text)
+    faults = {'kind = "campbell"': 'kind = "faulty"', "np.hanning": "np.haning", ".4g": ".4q"}
+    for right, wrong in faults.items():
+        assert right in text
+        text = text.replace(right, wrong)
+    (folder / "faulty.py").write_text(text)
     (folder / "speeds.toml").write_text(SWEEP)
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as printed:
         patch.chdir(folder)
@@ -91,11 +96,11 @@ def test_broken_entry_point_is_refused_in_one_line(command):
     command("scenes")  # does not import analyses that it does not need
 
 
-def test_fault_of_an_analysis_is_not_that_of_the_file(command, monkeypatch):
-    monkeypatch.setattr(importlib.import_module("campbell"), "np", None)
-    for words in (("info", "speeds-campbell.nc"), ("campbell", "speeds.toml", "-o", "other.nc")):
+def test_fault_of_an_analysis_is_not_that_of_the_file(command):
+    vj.write_dataset(vj.open_dataset("speeds-campbell.nc").assign_attrs(kind="faulty"), "faulty.nc")
+    for words, error in ((("info", "faulty.nc"), "ValueError"), (("faulty", "speeds.toml"), "AttributeError")):
         refused = command(*words, status=2)
-        assert refused.count("\n") == 1 and f"{words[0]}: the code of campbell fails (AttributeError" in refused
+        assert refused.count("\n") == 1 and f"{words[0]}: the code of faulty fails ({error}" in refused
 
 
 class Medians(vj.Analysis):

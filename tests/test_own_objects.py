@@ -196,11 +196,6 @@ def test_wrong_laws_end_in_one_line(mu, message):
         vj.simulate("rotary", friction=own_law(mu), duration=2.0, progress=False)
 
 
-def test_numbers_are_no_parameters_of_a_law():
-    with pytest.raises(vj.InputError, match="friction law mine: vs must be a parameter of that name"):
-        FrictionLaw("mine", "own", {"vs": 1.0}, lambda u, p: p["vs"] * u)
-
-
 def test_lanes_with_negative_friction_have_a_reason():
     law = own_law(lambda u, p: 0.4 - 0.2 * p["vs"])
     ds = vj.run_sweep({"scene": "rotary", "parameters": {"friction": law}, "grid": {"vs": [1.0, 3.0]}}, progress=False)

@@ -48,6 +48,7 @@ def test_slow_regular_transients_are_not_flagged():
     assert lanes.sensitive.dtype == np.int8
 
 
+@pytest.mark.long
 def test_lanes_that_change_with_the_settling_time_are_flagged():
     """Over the plane of the default map, most certified lanes whose attractor changes with the settling time are
     sensitive. Of the others, at most 1 % change.

@@ -5,8 +5,6 @@ import pytest
 
 import vibrojax as vj
 from vibrojax.errors import InputError
-from vibrojax.io.dataset import open_dataset
-from vibrojax.io.writers import write_dataset
 
 COLUMNS = ("start_x1", "start_v1", "start_x2", "start_v2")
 VECTORS = np.array([[0.0, -1.5, 0.0, 0.0], [0.01, 0.3, -0.02, 1.0], [-0.03, 0.0, 0.001, -2.0]])
@@ -29,17 +27,6 @@ def test_each_point_starts_from_its_own_state():
     # The first vector is the named start `stuck`.
     named = vj.run_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"beta": [0.4]}, "run": RUN}, False)
     assert float(dataset.period[0]) == named.period.item()
-
-
-def test_dataset_stores_states_along_points(tmp_path):
-    dataset = vj.run_sweep(sweep(), progress=False)
-    write_dataset(dataset, tmp_path / "points.nc")
-    stored = open_dataset(tmp_path / "points.nc")
-    for i, (name, unit) in enumerate(zip(COLUMNS, ("m", "m s-1", "m", "m s-1"), strict=True)):
-        assert stored[name].dims == ("point",) and stored[name].attrs["units"] == unit
-        assert stored[name].attrs["long_name"].endswith("at t = 0")
-        np.testing.assert_array_equal(stored[name], VECTORS[:, i])
-    assert vj.picture(stored)
 
 
 @pytest.mark.parametrize(

@@ -62,16 +62,3 @@ def test_command_draws_tracks_and_tells_the_planted_founder_point(tmp_path, caps
     assert main(["info", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "founder point" in printed and "not percussive data" in printed and "dropped 6 of 606 rows" in printed
-
-
-def test_spikes_do_not_flatten_tracks(log):
-    ds = vj.rig(log[0], columns={"bit_diameter": "8.5 in"})
-    for name, spike, is_log in (("specific_energy", 3e10, True), ("torque", 9e5, False)):
-        (before,) = (plot.x for plot in sheet_of(ds).plots if plot.x.name == name)
-        ds[name] = ds[name].where(np.arange(ds.sizes["row"]) != 50, spike)
-        (after,) = (plot.x for plot in sheet_of(ds).plots if plot.x.name == name)
-        assert not before.log and after.log == is_log
-        if is_log:
-            assert after.limits[1] > spike / 1e6
-        else:
-            assert after.limits[1] < 2 * before.limits[1] and "1 beyond" in after.label
