@@ -1,36 +1,11 @@
 """Test the flag for lanes in which rounding errors decide the attractor."""
 
-import json
-
 import numpy as np
 import pytest
 
 import vibrojax as vj
 from vibrojax.lanes import certificate as module
-from vibrojax.measures.labels import IRREGULAR, MULTI_IMPACT
 from vibrojax.scenes import SCENES
-
-POINT = {
-    "friction": "popp-exponential",
-    "gamma": 1.4555274526774873,
-    "v": 2.2800989226179684,
-    "delta": -0.01871209768678116,
-    "c2": 62.5,
-}
-"""A machine with two attractors. A chaotic transient of some 25 s ends on either of them."""
-
-
-@pytest.mark.long
-def test_chaotic_transient_before_two_attractors_is_flagged():
-    """The label changes with the settling time, which is why the lane needs a flag; no error estimate shows it."""
-    sweep = {"scene": "vibro-impact", "starts": ["touching"], "unusual": True, "grid": {"beta": [0.6232515398628401]}}
-    regimes = set()
-    for settle in (39.0, 40.0, 41.0, 45.0, 50.0, 60.0, 80.0, 100.0):
-        lane = vj.run_sweep(sweep | {"parameters": POINT, "run": {"settle": settle}}, progress=False)
-        regimes.add(lane.regime.item())
-        assert lane.sensitive.item() == 1 and json.loads(lane.attrs["certified"])["within"] == 0, settle
-        assert lane.error_estimate.item() < 1e-7 or lane.regime.item() != MULTI_IMPACT
-    assert regimes == {MULTI_IMPACT, IRREGULAR}
 
 
 def test_slow_regular_transients_are_not_flagged():

@@ -32,16 +32,6 @@ def test_sobol_sample_has_one_start_in_each_slice():
     assert (read_starts(sobol(seed=1)).starts.vectors != starts.vectors).all()
 
 
-def test_random_sample_is_uniform_in_box():
-    starts = read_starts(
-        {"sample": "random", "count": 20000, "seed": 3, "box": {"v2": [-3.0, 1.0]}, "at": {"v1": -1.5}}
-    ).starts
-    v2 = starts.vectors[:, 3]
-    assert (starts.vectors[:, :3] == [0.0, -1.5, 0.0]).all() and v2.min() >= -3.0 and v2.max() <= 1.0
-    sigma = 4.0 / np.sqrt(12)
-    assert abs(v2.mean() + 1.0) < 4 * sigma / np.sqrt(20000) and abs(v2.std() - sigma) < 0.02
-
-
 def test_plane_is_row_major_in_given_order():
     plane = {"plane": {"v2": [0.5, 1.0], "x2": {"start": -0.01, "stop": 0.01, "num": 3}}, "at": {"v1": -1.5}}
     expected = [[0.0, -1.5, x2, v2] for v2 in (0.5, 1.0) for x2 in (-0.01, 0.0, 0.01)]

@@ -103,22 +103,3 @@ def mutated_sweep_text(draw) -> str:
 def test_files(file, text):
     file.write_bytes(text.encode("utf-8", "surrogatepass"))
     check_reading_ends(file)
-
-
-CELLS = SCALARS.map(str) | st.sampled_from(["0.3", "", " 1e0 ", '"', '"0.3"', "\0", "nan", "1_0", "½"])
-
-
-@pytest.mark.filterwarnings("ignore:.*semicolons separate the columns")
-@fuzzed
-@given(
-    st.lists(NAMES | CELLS, max_size=4),
-    st.lists(st.lists(CELLS, max_size=4), max_size=5),
-    st.sampled_from([",", ";", "\t"]),
-    st.sampled_from(["\n", "\r\n", "\r"]),
-    st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),
-)
-def test_points(file, header, rows, comma, newline, encoding):
-    text = newline.join(comma.join(row) for row in [header, *rows])
-    (file.parent / "p.csv").write_bytes(text.encode(encoding, "surrogatepass"))
-    file.write_text('scene = "vibro-impact"\npoints = "p.csv"\n')
-    check_reading_ends(file)

@@ -144,22 +144,6 @@ def test_unpicklable_physics_is_refused(tmp_path):
         vj.run_sweep(sweep, progress=False, executor=executor)
 
 
-def test_workers_share_cores(file):
-    """Each of two workers on this machine uses half of its cores, unless the environment overrides it."""
-    from vibrojax.compile.xla import threads, usable_cores, with_threads
-
-    for workers, expected_threads in ((None, 1), (2, max(1, usable_cores() // 2))):
-        executor = LocalExecutor(
-            lambda self, fn, task, index, threads: self.threads.add(threads) or fn(task, index, threads)
-        )
-        executor.threads, executor._max_workers = set(), workers
-        vj.run_sweep(file, progress=False, executor=executor)
-        assert executor.threads == {expected_threads}
-    with with_threads(3):
-        assert threads() == 3
-    assert threads() == usable_cores()
-
-
 @pytest.mark.parametrize(
     "words, problem",
     [

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 import xarray as xr
-from scipy import optimize, stats
+from scipy import stats
 from trials import rig_logs, unchecked
 
 from vibrojax.studies.rop_forms import FORMS, REASONS
@@ -123,23 +123,6 @@ def test_verdict_names_form_that_describes_data(noise):
 
 
 # censored lanes
-
-
-def test_censored_lane_counts_if_a_rate_is_predicted():
-    """Zeros above the onset pull the line down. The minimum agrees with a direct search."""
-    rate = TRUTH["onset"](RELIEF)
-    rate[[3, 7]] = 0
-    fit = fitted(rate, form="onset")
-
-    def loss(theta):
-        predicted = theta[0] * (np.log(RELIEF) - theta[1])
-        return ((np.maximum(predicted, 0) - rate / C) ** 2).sum()
-
-    optimum = optimize.minimize(
-        loss, [1.0, np.log(ETA0)], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}
-    )
-    assert fit.C.item() / C == pytest.approx(optimum.x[0], rel=1e-6)
-    assert np.log(fit.eta0.item()) == pytest.approx(optimum.x[1], rel=1e-6)
 
 
 # robust

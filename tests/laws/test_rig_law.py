@@ -12,8 +12,8 @@ from trials import CASES, FORMATIONS, FOUNDER, rig_logs, rows, trials
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
-from vibrojax.studies.rop_forms import BLOCK_LIMIT, FORMS, search, standings, supported, whiten
-from vibrojax.studies.rop_group import FAR_RATE, NAMES, clean, find_founder, predictions_without
+from vibrojax.studies.rop_forms import FORMS, search, whiten
+from vibrojax.studies.rop_group import FAR_RATE, clean, predictions_without
 from vibrojax.studies.rop_law import fit_rop
 from vibrojax.studies.rop_results import verdict
 
@@ -99,19 +99,6 @@ def test_founder_is_told_by_formation():
     assert [layer.x[0] for layer in panel.layers if layer.label == "founder weight"] == pytest.approx([160], rel=0.05)
 
 
-@pytest.mark.parametrize("exponent", [None, 0.5, 1.0])
-def test_concave_law_has_no_founder(exponent):
-    """A logarithm and a root bend as well, but no form with a founder describes them better; a line has none."""
-    weight = np.random.default_rng(1).uniform(50e3, 150e3, 400)
-    rate = np.log(weight / 30e3) if exponent is None else weight**exponent
-    for noise in (0.0, 0.02):
-        noisy = rate * (1 + noise * np.random.default_rng(2).standard_normal(400))
-        assert not find_founder(weight / 1e5, weight, noisy, np.arange(400))[0].is_known
-    bent = np.minimum(rate, rate[np.argmin(abs(weight - 12e4))])
-    founder, _ = find_founder(weight / 1e5, weight, bent, np.arange(400))
-    assert founder.weight == pytest.approx(12e4, rel=0.01) and not founder.falls
-
-
 def test_wrong_rates_are_found_about_the_law_that_ends_at_the_founder():
     """Both are hidden from a law without a founder: a row of the greatest weight, and small outliers."""
     weight, rate = rows(np.random.default_rng(3), *FORMATIONS[0], fall=0.0, outliers=0.0)
@@ -120,17 +107,6 @@ def test_wrong_rates_are_found_about_the_law_that_ends_at_the_founder():
     founder, wrong = clean(weight / 40e3, weight, rate)
     assert np.flatnonzero(wrong[FAR_RATE]).tolist() == planted
     assert founder.weight == pytest.approx(FOUNDER, abs=3 * founder.weight_stderr) and founder.weight_stderr < 8e3
-
-
-@pytest.mark.parametrize(("groups", "expected"), [(1, "onset"), (2, "none"), (8, "none")])
-def test_special_case_needs_more_evidence_against_it_in_one_of_several_groups(groups, expected):
-    """An evidence of 9 against `literal` is beyond chance in one group, but not in one of two."""
-    evidence = np.full((groups, 6), 100.0)
-    evidence[:, NAMES.index("literal")], evidence[:, NAMES.index("onset")] = 0.1, 0.0
-    evidence[0, NAMES.index("literal")] = 9.0
-    standing = np.array([standings(row, NAMES, BLOCK_LIMIT) for row in evidence])
-    assert supported(standing, evidence, NAMES, BLOCK_LIMIT) == expected
-    assert standings(np.array([8.0, 100, 0, 100, 100, 100]), NAMES, BLOCK_LIMIT).tolist() == [2, 1, 4, 1, 1, 1]
 
 
 @pytest.mark.parametrize("spike", [400.0, 0.4])
