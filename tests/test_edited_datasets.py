@@ -225,7 +225,6 @@ def curves_of(ds, special=None):
 def test_curves_begin_at_the_selected_families(families):
     for ds, values in (
         (families.isel(family=[2, 0]), {0: 0.35, 2: 0.5}),
-        (families.isel(family=1), {1: 0.4}),
         (select(families, {"beta": 0.5}), {2: 0.5}),
         (families.drop_vars("family"), {0: 0.35, 1: 0.4, 2: 0.5}),
     ):

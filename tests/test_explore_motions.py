@@ -77,20 +77,6 @@ def test_every_scene_answers(scene):
     assert json.loads(json.dumps(offered, allow_nan=False)) == offered
 
 
-@pytest.mark.parametrize(
-    ("question", "line"),
-    [
-        ({"parameters": None}, "explore: parameters: "),
-        ({"parameters": [1]}, "explore: parameters: "),
-        ({"parameters": {"beta": -1}}, "explore: beta: is -1; it must be above 0"),
-    ],
-)
-def test_wrong_requests_are_refused_in_one_line(motions, question, line):
-    with pytest.raises(InputError) as error:
-        motions.answer(question, no_newer_request)
-    assert line in str(error.value) and "\n" not in str(error.value)
-
-
 def test_superseded_motion_is_interrupted(motions):
     calls = []
 

@@ -88,17 +88,6 @@ def test_failed_computations_are_reported(widget, sent):
     assert len(sent) == 1
 
 
-def test_part_of_sweep(dataset):
-    """Its lanes are those of its coordinates."""
-    part = dataset.isel(beta=[0, 2], start=0)
-    widget = vj.explore(part)
-    assert widget.blocks == [] and widget.document["lanes"]["shape"] == [2, 4] and widget.offered["lanes"] == 8
-    values, _ = widget.motions.sweep.lane_values(4, 5)
-    assert (values["beta"].item(), values["gamma"].item()) == (part.beta.values[1], part.gamma.values[0])
-    widget.point = {"beta": 0.4}
-    assert widget.lane.identical(part.isel(beta=1, gamma=widget.cell["gamma"]))
-
-
 def test_trajectory_and_plane_of_starts():
     motion = vj.simulate("rotary", duration=2.0, v=0.7, progress=False)
     widget = vj.explore(motion)

@@ -2,14 +2,12 @@
 
 import json
 
-import exports
 import numpy as np
 import pandas as pd
 import pytest
 from drawn import sheet_of
 from trials import CASES, FORMATIONS, FOUNDER, rig_logs, rows, trials
 
-import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.studies.rop_forms import FORMS, search, whiten
@@ -154,28 +152,6 @@ def test_unknown_threshold_keeps_determined_quantities(logs):
 
 
 # the command
-
-
-@pytest.mark.parametrize(
-    ("dialect", "formations", "founder", "words"),
-    [
-        ("pason", [(15 / 3600, 40e3)], 160e3, []),
-        ("semicolon", [(15 / 3600, 40e3), (8 / 3600, 60e3)], None, ["--by", "Formation"]),
-    ],
-)
-def test_one_command_gives_the_planted_values(tmp_path, dialect, formations, founder, words):
-    path, _ = exports.write(tmp_path, dialect, formations, founder)
-    assert main(["fit", str(path), *words, "-o", str(tmp_path / "law.nc"), "--quiet"]) == 0
-    fit = vj.open_dataset(tmp_path / "law.nc")
-    onset, (C, D) = fit.sel(form="onset"), np.array(formations).T
-    assert fit.attrs["verdict"] == "onset"
-    for name, right in (("C", C), ("onset_force", D)):
-        error = onset[f"{name}_stderr"].values.ravel()
-        assert (abs(onset[name].values.ravel() - right) <= 2 * error).all()
-    if founder:
-        assert abs(fit.founder_weight - founder) <= 2 * fit.founder_weight_stderr
-    else:
-        assert fit.founder_weight.isnull().all()
 
 
 def test_command_reports_rows_and_chosen_form(logs, tmp_path, monkeypatch, capsys):
