@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import vibrojax as vj
-from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.explorer.views import sweep_of
 from vibrojax.io.attributes import table_of
@@ -105,18 +104,6 @@ def test_lanes_are_those_of_the_coordinates(datasets, starts, changes):
     assert lanes(vj.read_sweep(tomllib.loads(sweep.text))) == lanes(sweep)  # as the next dataset states
 
 
-def test_values_are_those_of_a_new_sweep(datasets, tmp_path):
-    """Orbits of an edited dataset, from memory and by the command, equal those of a sweep at its coordinates."""
-    ds = datasets["vectors"].isel(beta=1, start=[2, 0]).assign_coords(gamma=[0.68, 0.6])
-    fresh = tables() | {"parameters": {"delta": 0.005, "beta": 0.35}, "grid": {"gamma": [0.68, 0.6]}}
-    expected = vj.orbits(fresh | {"starts": [STARTS["vectors"][2], "stuck"]}, progress=False)
-    result = vj.orbits(ds, progress=False)
-    xr.testing.assert_equal(result, expected)
-    vj.write_dataset(ds, tmp_path / "edited.nc")
-    assert main(["orbits", str(tmp_path / "edited.nc"), "-o", str(tmp_path / "out.nc"), "--quiet"]) == 0
-    xr.testing.assert_equal(vj.open_dataset(tmp_path / "out.nc"), expected)
-
-
 def test_combined_datasets_are_one_sweep(datasets):
     """`xr.combine_by_coords` of neighbouring grids: lanes, counts and orbits are those of both, claims of neither."""
     low = datasets["names"]
@@ -196,10 +183,9 @@ def test_edited_points(points):
 
 
 def test_rocks_and_carried_lanes():
-    rocks = {"scene": "drilling", "grid": {"rock": ["sandstone", "granite"], "v": [0.5, 1.0]}, "starts": ["stuck"]}
-    ds = vj.run_sweep(rocks | {"run": RUN}, progress=False)
-    one = sweep_of_dataset(ds.isel(rock=1, v=[1]))
-    fresh = rocks | {"parameters": {"rock": "granite"}, "grid": {"v": [1.0]}}
+    rocks = {"scene": "penetration", "grid": {"rock": ["sandstone", "granite"], "frequency": [20.0, 40.0]}, "run": RUN}
+    one = sweep_of_dataset(vj.run_sweep(rocks, progress=False).isel(rock=1, frequency=[1]))
+    fresh = rocks | {"parameters": {"rock": "granite"}, "grid": {"frequency": [40.0]}}
     assert lanes(one) == lanes(vj.read_sweep(fresh))
     carried = tables() | {"starts": ["stuck"], "run": RUN | {"carry": "gamma"}}
     ds = vj.run_sweep(carried, progress=False)

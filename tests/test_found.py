@@ -13,9 +13,7 @@ from vibrojax.studies.trajectory import feature_lines
 
 STRONG = {"threshold": 30e3, "delta": 0.002}
 POINTS = {
-    "rotary": ({}, 9.0),
     "vibro-impact": ({"delta": 0.002, "gamma": 0.5, "beta": 0.9}, 12.0),
-    "drilling": (STRONG, 5.0),
     "coupled-drilling": (STRONG, 5.0),
     "penetration": ({"force": 300e3}, 1.0),
 }
