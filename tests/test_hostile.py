@@ -13,7 +13,7 @@ import netCDF4
 import pytest
 import xarray as xr
 from hostile import HUGE, REFUSED, SHOWN, STEERING, longer_sweep, shorter_steps
-from mutants import write_mutant, write_sources
+from mutants import write_mutant
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -191,10 +191,9 @@ def peak(who):
 @pytest.mark.filterwarnings("default")
 def test_mutants_are_shown_or_refused(seeds, tmp_path, capsys):
     """No command fails in more than one line, takes long, or fills the memory."""
-    sources = write_sources(SAMPLES, tmp_path)
     for seed in seeds:
         path = tmp_path / f"sent{seed}.nc"
-        what = write_mutant(seed, sources, path)
+        what = write_mutant(seed, SAMPLES, path)
         before, begun = peak(resource.RUSAGE_SELF), time.process_time()
         for words in (["info"], ["plot"], ["explore"]):
             status = main([*words, str(path)])
