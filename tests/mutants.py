@@ -38,11 +38,9 @@ def change_values(rng: random.Random, ds: xr.Dataset) -> xr.Dataset:
     name = any_name(rng, ds)
     old = ds[name]
     values = old.values.astype(old.dtype if old.dtype.kind in ODD_NUMBERS else object)
-    for index in range(values.size):
-        if rng.random() < 0.5:
-            values.reshape(-1)[index] = rng.choice(
-                ODD_NUMBERS.get(old.dtype.kind, ["", "x" * 300, "a\nb", "$\\frac{$"])
-            )
+    odd = ODD_NUMBERS.get(old.dtype.kind, ["", "x" * 300, "a\nb", "$\\frac{$"])
+    for index in np.flatnonzero([rng.random() < 0.5 for _ in range(values.size)]):
+        values.reshape(-1)[index] = rng.choice(odd)
     if old.dtype.kind in ODD_NUMBERS and rng.random() < 0.3:
         with np.errstate(all="ignore"):
             values = values.astype(rng.choice(["float32", "int8", "U5", "bool"]))

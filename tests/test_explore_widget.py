@@ -51,21 +51,15 @@ def test_python_selects_nearest_cell(widget):
     assert widget.point == {"beta": 0.4, "gamma": 0.65, "start": "stuck"}
 
 
-@pytest.mark.parametrize(
-    ("point", "line"),
-    [
-        ({"bta": 0.3}, 'explore: point.bta: the map has no such axis; did you mean "beta"?'),
-        ({"start": "nowhere"}, 'explore: point.start: "nowhere" is not one of its values; choose from drive, stuck'),
-    ],
-)
-def test_wrong_points_are_refused(widget, point, line):
+def test_wrong_points_are_refused(widget):
     before = widget.point
-    with pytest.raises(InputError) as error:
-        widget.point = point
-    assert str(error.value) == line
-    assert widget.point == before
+    with pytest.raises(InputError, match=r'explore: point\.bta: the map has no such axis; did you mean "beta"\?'):
+        widget.point = {"bta": 0.3}
+    with pytest.raises(InputError, match=r'point\.start: "nowhere" is not one of its values; choose from drive, stuck'):
+        widget.point = {"start": "nowhere"}
     with pytest.raises(InputError, match="a cell has an index for each of beta, gamma, start"):
         widget.cell = {"nowhere": 1}
+    assert widget.point == before
 
 
 def test_kernel_computes_requested_motions(widget, sent, dataset):

@@ -144,7 +144,6 @@ def test_robust_fit_resists_outliers(noise):
 @pytest.mark.parametrize(
     ("rate", "relief", "expected"),
     [
-        ([1e-3], [0.5], " ".join(["too-few-lanes"] * 6)),
         ([1e-3, 2e-3], [0.5, 0.6], "identified identified too-few-lanes too-few-lanes too-few-lanes identified"),
         ([1e-3, 2e-3, 3e-3, 0], [0.5, 0.5, 0.5, 0.1], " ".join(["no-spread"] * 6)),
         ([0, 0, 0, 0], [0.1, 0.2, 0.3, 0.4], " ".join(["all-censored"] * 6)),
