@@ -208,4 +208,5 @@ def test_store_survives_a_kill_while_it_is_replaced(rates, tmp_path):
     assert subprocess.run([sys.executable, "-c", CUT_OFF, str(store)], check=False).returncode == 9
     assert not store.exists()
     xr.testing.assert_identical(vj.open_dataset(store), rates)
+    vj.write_dataset(rates, store)
     assert os.listdir(tmp_path) == ["rates.zarr"]

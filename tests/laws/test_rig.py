@@ -49,7 +49,7 @@ def test_command_draws_tracks_and_tells_the_planted_founder_point(log, tmp_path,
     ds = vj.open_dataset(out)
     assert ds.sizes["row"] == 120 and out.with_suffix(".png").exists()
     assert float(ds.founder_weight) == pytest.approx(25 * 4448.2216, rel=0.05)
-    assert float(ds.slope_above) == pytest.approx(0.1 * float(ds.slope_below), rel=0.5)
+    assert abs(float(ds.slope_above)) < 0.2 * float(ds.slope_below)
     right = {
         "driller": ["[m/h]", "[kN]", "[rpm]", "[kN m]", "[MPa]"],
         "si": ["[m/s]", "[N]", "[rad/s]", "[N m]", "[J/m³]"],
