@@ -131,7 +131,7 @@ def test_objects_of_installed_package(tmp_path):
 
         stepper, gauge = Stepper(), Gauge()
         field = lambda t, y, p: {"x": -p["k"] * y["x"] + vj.elementary.cos(t)}
-        system = vj.System("my-system", states={"x": "m"}, parameters={"k": 1.0}, field=field, period=2 * 3.141592653589793)
+        system = vj.System("my-system", states={"x": "m"}, parameters={"k": 1.0}, field=field, period=6.283185307179586)
         """)
     )
     (tmp_path / "mine-1.0.dist-info").mkdir()

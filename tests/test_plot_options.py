@@ -113,7 +113,7 @@ def test_error_names_invalid_value_and_available_ones(arguments, message):
 
 @pytest.fixture
 def written(tmp_path):
-    ds = with_shares(lanes(square(5, delta=[-0.005, 0.005]))).assign_attrs(source="vibrojax 0")
+    ds = with_shares(lanes(square(3, delta=[-0.005, 0.005]))).assign_attrs(source="vibrojax 0")
     vj.write_dataset(ds, tmp_path / "map.nc")
     return tmp_path / "map.nc"
 

@@ -78,7 +78,7 @@ def test_intervals_cover_truth_with_censored_lanes(noise):
     relief = np.linspace(0.08, 0.6, 24)
     rate = np.maximum(TRUTH["onset"](relief), 0)
     seen = rate > 0
-    noisy = np.where(seen, rate + 0.02 * rate.max() * noise.standard_normal((400, 24)), 0)
+    noisy = np.where(seen, rate + 0.02 * rate.max() * noise.standard_normal((150, 24)), 0)
     fit = fitted_trials(np.maximum(noisy, 0), relief, "onset")
     assert (fit.used == 24).all() and (abs(fit.degrees_of_freedom - (seen.sum() - 2)) <= 3).all()
     for key, truth in (("C", C), ("eta0", ETA0)):
