@@ -3,7 +3,6 @@
 import io
 import json
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ import xarray as xr
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.io.kinds import kind_of
-from vibrojax.settings.fields import setting
 from vibrojax.studies.analysis import analysis_of, offered_analyses
 
 OUTSIDE = Path(__file__).parent / "outside"
@@ -119,33 +117,6 @@ def test_unregistered_analysis_object_runs():
     ds = vj.analyse({"scene": "rotary", "grid": {"v": [1.0, 1.5]}}, Medians(), progress=False)
     assert ds.attrs["kind"] == kind_of(ds) == "medians" and ds.attrs["source"].startswith("vibrojax")
     assert isinstance(analysis_of(ds), Medians)
-
-
-@dataclass(frozen=True)
-class Limited(vj.Analysis):
-    """Return what it was given."""
-
-    least: float = setting(0.5, "least share", least=0.0)
-    regime: str = setting("single-impact", "the regime", choices=("single-impact", "irregular"))
-
-    kind = "limited"
-
-    def run(self, source, progress=True):
-        return xr.Dataset({"least": self.least})
-
-
-@pytest.mark.parametrize(
-    ("settings", "line"),
-    [
-        ({"least": -1.0}, "limited: least: is -1; it must be at least 0"),
-        ({"regime": "single"}, 'limited: regime: "single" is unknown; did you mean "single-impact"?'),
-    ],
-)
-def test_settings_of_an_analysis_of_sweeps_are_checked(settings, line):
-    assert vj.analyse({}, Limited(least=0.75)).least == 0.75
-    with pytest.raises(vj.InputError) as refused:
-        vj.analyse({}, Limited(**settings))
-    assert str(refused.value) == line
 
 
 def test_dataset_is_no_sweep():

@@ -8,12 +8,11 @@ from textwrap import dedent
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.io.files import source
-from vibrojax.io.identity import IDENTITY, changes, check_replaceable, identity_text
+from vibrojax.io.identity import changes, check_replaceable
 from vibrojax.maps.read import read_sweep
 
 SWEEP = 'scene = "rotary"\ntitle = "{title}"\n[grid]\ngamma = [{gamma}]\n[run]\nsettle = 0.5\nobserve = 0.5\n'
@@ -177,21 +176,6 @@ def test_identity_follows_code_of_own_scenes_and_laws(tmp_path, monkeypatch, cap
     argv = [sys.executable, "-c", DIGESTS]
     process = subprocess.run(argv, capture_output=True, text=True, cwd=tmp_path / "before", env=environment, check=True)
     assert json.loads(process.stdout) == before
-
-
-def test_result_of_other_code_is_not_reused(folder):
-    def sweep(share):
-        law = vj.FrictionLaw("own", "mine", {}, mu=lambda u, p: share + 0.0 * u)
-        tables = {"scene": "rotary", "parameters": {"friction": law}, "grid": {"gamma": [0.6]}}
-        return read_sweep({**tables, "run": {"settle": 0.2, "observe": 0.2}})
-
-    out = folder / "own.nc"
-    vj.write_dataset(xr.Dataset(attrs={IDENTITY: identity_text(sweep(0.2).identity())}), out)
-    check_replaceable(out, sweep(0.2).identity())
-    with pytest.raises(vj.InputError, match=r"holds another result: code\.friction has changed since; --fresh"):
-        check_replaceable(out, sweep(0.3).identity())
-    builtin = read_sweep({"scene": "drilling", "grid": {"gamma": [0.6]}}).identity()
-    assert not any(name.startswith("code.") for name in builtin)
 
 
 @pytest.mark.parametrize(
