@@ -98,7 +98,7 @@ def test_no_request_and_nothing_on_the_console(browser: Any, files: dict[str, Pa
 def test_numbers_of_cells_match_dataset(browser: Any, files: dict[str, Path], many: xr.Dataset) -> None:
     random = np.random.default_rng(0)
     dims = ("beta", "gamma", "delta", "start")
-    picked = [{name: int(random.integers(many.sizes[name])) for name in dims} for _ in range(300)]
+    picked = [{name: int(random.integers(many.sizes[name])) for name in dims} for _ in range(100)]
     rows = """cells => cells.map(cell => {
         vibrojax.cell = cell;
         return [...vibrojax.numbers(null).querySelectorAll("td")].map(td => [td.dataset.name, td.textContent]);
@@ -125,7 +125,7 @@ def test_numbers_of_cells_match_dataset(browser: Any, files: dict[str, Path], ma
                 rel = 0.06 if text[0] == "≈" else 5e-4
                 assert number == pytest.approx(value * factors[name], rel=rel, abs=1e-300), (name, cell)
                 compared += 1
-    assert compared > 3_000
+    assert compared > 1_000
 
 
 def test_click_selects_cell_and_hovering_shows_its_value(

@@ -71,7 +71,6 @@ def test_single_motions_are_numbered(folder, capsys):
     (folder / "rotary.nc").unlink()
     assert main([*POINT, "gamma=0.7"]) == 0
     assert "rotary-3.nc: is there already" in capsys.readouterr().out
-    assert main([*POINT, "gamma=0.6"]) == 0 and "rotary.nc; picture" in capsys.readouterr().out
 
 
 def test_other_point_in_given_file_is_refused(folder, capsys):

@@ -65,9 +65,9 @@ def test_lanes_run_in_row_major_order(tmp_path):
 
 
 def test_grid_too_large_for_memory_is_read_lazily():
-    axis = {"start": 0.1, "stop": 1.2, "num": 10**6}
+    axis = {"start": 0.1, "stop": 1.2, "num": 10**5}
     sweep = read_sweep({"scene": "rotary", "grid": {"beta": axis, "gamma": axis, "v": [1.0, 2.0]}})
-    assert sweep.lanes == 4 * 10**12
+    assert sweep.lanes == 4 * 10**10
     values, starts = sweep.lane_values(sweep.lanes - 3, sweep.lanes)
     assert (
         values["beta"].tolist() == [1.2] * 3

@@ -16,7 +16,7 @@ from vibrojax.maps.read import read_sweep
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(
-    max_examples=int(os.environ.get("VIBROJAX_FUZZ", 60)),
+    max_examples=int(os.environ.get("VIBROJAX_FUZZ", 40)),
     deadline=5000,  # [ms]; catches hangs
     derandomize="VIBROJAX_FUZZ" not in os.environ,
     suppress_health_check=list(HealthCheck),

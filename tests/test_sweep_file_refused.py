@@ -57,7 +57,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
         ({"grid": {"beta": {"start": 1, "stop": 2, "num": 0}}}, "sweep: grid.beta.num: 0 does not fit; a whole number"),
         ({"grid": {"beta": {"start": 1, "stop": 1 + 1e-15, "num": 99}}}, "are not all different"),
         (
-            {"grid": {name: {"start": 1, "stop": 2, "num": 10**7} for name in ("beta", "gamma", "v")}},
+            {"grid": {name: {"start": 1, "stop": 2, "num": 10**5} for name in ("beta", "gamma", "v", "mu")}},
             "lanes are too many",
         ),
         ({"starts": ["dirve"]}, 'sweep: starts[0]: "dirve" is unknown; did you mean "drive"?'),
