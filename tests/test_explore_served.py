@@ -131,10 +131,9 @@ def test_dragging_slider_changes_motion(dataset, browser):
         assert page.locator("input[name=delta]").input_value() == "-5"
 
 
-def test_stopped_server_is_reported(browser):
+def test_stopped_server_is_reported(dataset, browser):
     """A line beside the sliders reports it, and the page keeps what it shows."""
-    motion = vj.simulate("rotary", duration=2.0, progress=False)
-    with serve(motion) as live:
+    with serve(dataset) as live:
         page, _, _ = new_page(browser)
         page.goto(live.url)
         page.wait_for_selector("[data-ready]")
