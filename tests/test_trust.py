@@ -69,9 +69,6 @@ def refusal_messages(recorded):
     return [str(warning.message) for warning in recorded if issubclass(warning.category, KernelRefused)]
 
 
-WRONG = law_with_term(lambda x: 0.1 * zero_unless_faulty(x))
-
-
 def compare_kernel(scene, derives=False):
     kind = ProgramKey(scene, vj.Located(), recorder_for(scene))
     return Comparison(kind, lanes_of(kind, ()), derives).difference()
@@ -95,16 +92,9 @@ def test_sweep_with_a_fault_runs_on_xla(translation_fault):
     np.testing.assert_allclose(ds.x_amplitude.values.ravel(), [0.5**0.5, 0.2**0.5], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("scene", "quantity"),
-    [
-        (FaultInGuard(), "guards['contact']"),
-        pytest.param(VibroImpact(friction=WRONG), "slip.stick_limit", marks=pytest.mark.long),
-    ],
-)
-def test_comparison_names_differing_quantity(scene, quantity, translation_fault):
-    differs = compare_kernel(scene)
-    assert differs is not None and quantity in differs.quantity and 1e-5 < differs.relative < 10
+def test_comparison_names_differing_quantity(translation_fault):
+    differs = compare_kernel(FaultInGuard())
+    assert differs is not None and "guards['contact']" in differs.quantity and 1e-5 < differs.relative < 10
 
 
 @jax.custom_jvp

@@ -74,46 +74,32 @@ def test_zarr_output(file, expected):
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.zarr"}
 
 
-class LocalExecutor:
-    """An executor that computes each chunk immediately, in this thread, by `compute`."""
+class FailingExecutor:
+    """An executor that computes each chunk immediately, in this thread, unless `fails` holds of the requested ones."""
 
-    def __init__(self, compute):
-        self.compute, self.asked = compute, []
+    def __init__(self, fails, error):
+        self.fails, self.error, self.asked = fails, error, []
 
     def submit(self, fn, task, index, threads):
         future: Future = Future()
         self.asked.append(index)
-        try:
-            future.set_result(self.compute(self, fn, task, index, threads))
-        except Exception as error:
-            future.set_exception(error)
+        if self.fails(self.asked):
+            future.set_exception(self.error)
+        else:
+            future.set_result(fn(task, index, threads))
         return future
 
 
-@pytest.mark.parametrize(
-    ("fails", "error", "warning"),
-    [
-        (
-            lambda requested: requested[-1] == 3,
-            MemoryError("too much"),
-            "chunk 3 failed with a worker (MemoryError: too much)",
-        ),
-        (
-            lambda requested: len(requested) > 2,
-            BrokenExecutor("a worker died"),
-            "(BrokenExecutor: a worker died); the rest is",
-        ),
-    ],
-)
+FAILURES = [
+    (lambda asked: asked[-1] == 3, MemoryError("too much"), "chunk 3 failed with a worker (MemoryError: too much)"),
+    (lambda asked: len(asked) > 2, BrokenExecutor("a worker died"), "(BrokenExecutor: a worker died); the rest is"),
+]
+
+
+@pytest.mark.parametrize(("fails", "error", "warning"), FAILURES)
 def test_failed_chunks_are_computed_locally(file, expected, capsys, fails, error, warning):
     """No chunk is requested twice."""
-
-    def compute(self, fn, task, index, threads):
-        if fails(self.asked):
-            raise error
-        return fn(task, index, threads)
-
-    executor = LocalExecutor(compute)
+    executor = FailingExecutor(fails, error)
     assert_same(vj.run_sweep(file, progress=False, executor=executor), expected)
     lines = capsys.readouterr().err
     assert lines.count(warning) == 1 and lines.count("computed here") == 1
