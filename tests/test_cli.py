@@ -45,9 +45,9 @@ def test_help_imports_nothing_heavy():
     out = completed.stdout
     assert out.splitlines()[-1] == f"{[0] * (2 + len(_COMMANDS))} set()", out + completed.stderr
     for words in (
-        "scan (pushes of each scan in a direction: 256)",
+        "scan (number of pushes per scan and direction; default: 256)",
         "--axes X,Y",
-        "settle (time before the observation",
+        "settle (simulated time before the observation",
     ):
         assert words in " ".join(out.split()), out
 

@@ -105,7 +105,8 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
       measure.
 
     **Returns:** a dataset along `setting` with run times, errors, and failures with their reasons. Its coordinates are
-    the strings scene, method, precision and varied, and the `value` of the varied quantity.
+    the strings `scene`, `method`, `precision` and `varied` (the varied quantity), and `value`, the value of that
+    quantity.
 
     **Raises:** `InputError` for an unknown scene.
 

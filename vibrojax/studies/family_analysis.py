@@ -246,11 +246,17 @@ class Families(MachineAnalysis[FamilySpec]):
     terms = FAMILY_WORDS
     pictures = (PictureRule("families", lambda held: True, families),)
 
-    along: object = setting(None, f"{_SYNTAX}: the parameter, where the family begins, and its bounds", read=given)
+    along: object = setting(None, f"{_SYNTAX}: the parameter, its value at the first orbit, and its bounds", read=given)
     at: object = setting(None, "", read=given)
-    from_hopf: object = setting(None, "from-hopf=FILE.nc: equilibria, at whose hopf points orbits begin", read=given)
+    from_hopf: object = setting(
+        None, "from-hopf=FILE.nc: a family of equilibria; orbits begin at its hopf points", read=given
+    )
     span: object = setting(None, "", read=given)
-    cycles: object = setting(MOST_CYCLES, "the most returns of doubled branches; 0: follow equilibria", read=given)
+    cycles: object = setting(
+        MOST_CYCLES,
+        "most returns per period on branches that begin at period doublings; 0: follow equilibria",
+        read=given,
+    )
 
     def view_of(self, ds: xr.Dataset) -> str:
         return "plots" if LEADING in ds else self.view

@@ -197,12 +197,12 @@ def verdict(fit: xr.Dataset) -> list[str]:
         if founder.is_known:
             fall, error = (_PER_HOUR * _PER_STEP * value for value in (founder.fall, founder.fall_stderr))
             above = f"falls by {fall:.3g} ± {error:.2g} m/h per 10 kN" if founder.falls else "does not rise"
-            weight = f"{founder.weight / 1e3:.4g} ± {founder.weight_stderr / 1e3:.2g} kN"
+            weight = f"{founder.weight / 1e3:.4g} ± {founder.weight_stderr / 1e3:.3g} kN"
             weights.append(f"{title}: {weight}; above it the rate {above}")
         if unknown and np.isfinite(group.loc["onset", "onset_force"]):
             onset, error = group.loc["onset", ["onset_force", "onset_force_stderr"]] / 1e3
             slope = f"line C/D = {1e3 * group.loc['line', 'C'] / force:.4g} m/s per kN"
-            onsets.append(f"{title}: onset eta0 D = {onset:.4g} ± {error:.2g} kN; {slope}")
+            onsets.append(f"{title}: onset eta0 D = {onset:.4g} ± {error:.3g} kN; {slope}")
         if choice := recommended(fit, group):
             scales = [(choice, "m/s"), *([(choice["in_unit"], choice["unit"])] if "unit" in choice else [])]
             texts = [f"{x['C']:.4g} {unit} ({x['low']:.4g} to {x['high']:.4g})" for x, unit in scales]
