@@ -18,31 +18,8 @@ from vibrojax.explorer import contents_of, page_text
 from vibrojax.explorer.document import run_document
 from vibrojax.scenes.vibro_impact import VibroImpact
 
-NAMES = (
-    "__proto__",
-    "constructor",
-    "toString",
-    "v\nx",
-    "v x",
-    "v=1",
-    CODE,
-    "vе",
-    "v\u202e",
-    "v;x",
-    "$(x)",
-    "'",
-    '"',
-    "`",
-)
-WORDS = (
-    "$(touch hacked)",
-    "`touch hacked`",
-    "'; touch hacked; '",
-    '"), __import__("os"), ("',
-    "stuck\nx",
-    "ѕtuck",
-    MARKUP,
-)
+NAMES = ("__proto__", "toString", "v\nx", "v=1", CODE, "vе", "v\u202e", "$(x)", "'", '"')
+WORDS = ("$(touch hacked)", "'; touch hacked; '", '"), __import__("os"), ("', "stuck\nx", "ѕtuck", MARKUP)
 
 
 @pytest.fixture(scope="module")
