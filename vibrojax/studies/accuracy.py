@@ -24,6 +24,7 @@ from vibrojax.pictures.plots import (
     INK,
     Area,
     Axis,
+    Key,
     Layer,
     Line,
     Look,
@@ -335,7 +336,7 @@ def work_precision(ds: xr.Dataset) -> Picture:
         rows = ds.isel({SETTING: ds["scene"].values == scene})
         count = counted(int(rows["lanes"].values[0]), "periodic lane")
         plots.append(Plot(_layers(rows), across, up, scene, divmod(index, wide), remark=count))
-    keys: list[Layer] = [
+    keys: list[Key] = [
         dots(label="down to the median lane", marker="|", size=9.0),
         key("range of the repeats", **_RANGE),
         key("Pareto front", **_BAND),

@@ -26,9 +26,24 @@ from vibrojax.periodic.orbits import SAME_ORBIT
 from vibrojax.pictures.axes import axis, edges, map_axis, margins, scale, share_text, values_along, with_unit
 from vibrojax.pictures.colours import cell_keys, no_value_key, regime_names, regime_value, share_value, value_of
 from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
+from vibrojax.pictures.layout import MOST_PANELS, at, facets
 from vibrojax.pictures.maps import cell_layers, maps_of
-from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Look, Plot, Sheet, Text, bars, dots, patch
-from vibrojax.pictures.sheet import MOST_PANELS, at, facets
+from vibrojax.pictures.plots import (
+    Area,
+    Axis,
+    Bars,
+    Cells,
+    Key,
+    Layer,
+    Line,
+    Look,
+    Plot,
+    Sheet,
+    Text,
+    bars,
+    dots,
+    patch,
+)
 from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
@@ -177,7 +192,7 @@ def attractor_shares(ds: xr.Dataset) -> Sheet:
     count, points = ds.sizes[ATTRACTOR], ds["unassigned"].size
     share, regime = (ds[name].transpose(..., ATTRACTOR).values.reshape(points, count) for name in ("share", REGIME))
     names = regime_names(ds[REGIME])
-    keys: list[Layer] = []
+    keys: list[Key] = []
     for k in range(min(count, len(COLOURS))):
         most = int(np.argmax(np.bincount(regime[:, k], weights=share[:, k])))
         text = f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))} of starts"

@@ -17,7 +17,7 @@ from vibrojax.pictures import contents
 from vibrojax.pictures.colours import regime_value, value_of
 from vibrojax.pictures.contents import FORM, MULTIPLIER, POINT, REGIME, RETURN, TIME, Contents
 from vibrojax.pictures.draw import OwnFigure, draw
-from vibrojax.pictures.fitting import WIDTH, read_width
+from vibrojax.pictures.layout import WIDTH, read_width
 from vibrojax.pictures.lines import curves, regime_lines
 from vibrojax.pictures.maps import map_sheet
 from vibrojax.pictures.motion import histories

@@ -162,11 +162,11 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
         names = tuple(states[:2]) if standing else (*known[:1], *states[:1])
     last = LEADING if standing else LARGEST
     names = (*names, last)
-    every, many = list(branches(ds)), FAMILY in ds.dims
+    every = list(branches(ds))
     along = ds[along_name(ds)]
     plots = []
     for row, name in enumerate(names):
-        layers, up = family_layers(ds, every, name, thin=many), Axis(_label(ds, name), name)
+        layers, up = family_layers(ds, every, name), Axis(_label(ds, name), name)
         if row == len(names) - 1:  # the last panel has the stability limit
             layers = [level(0.0 if standing else 1.0, width=0.8, order=1.0), *layers]
         if name == LARGEST:

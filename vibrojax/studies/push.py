@@ -27,7 +27,7 @@ from vibrojax.physics.parameters import positive
 from vibrojax.pictures.axes import axis, margins, number, scale, values_along, with_unit
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_names
 from vibrojax.pictures.contents import POINT, varied
-from vibrojax.pictures.plots import Axis, Bars, Layer, Line, Look, Plot, Sheet, Text, dots, key, level, patch
+from vibrojax.pictures.plots import Axis, Bars, Key, Layer, Line, Look, Plot, Sheet, Text, dots, key, level, patch
 from vibrojax.pictures.starts import SYMBOLS
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
@@ -60,7 +60,7 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
     known = [ds[f"bound_{state}"] > 0 for state in states]
     returning = any(bool((ds[f"{_PUSH}{s}"].isnull() & k).any()) for s, k in zip(states, known, strict=True))
     leaving = any(bool(ds[f"{_PUSH}{state}"].notnull().any()) for state in states)
-    keys: list[Layer] = [key(side, colour=c, marker=m, width=1.0) for c, m, side in _SIDES.values() if several]
+    keys: list[Key] = [key(side, colour=c, marker=m, width=1.0) for c, m, side in _SIDES.values() if several]
     if not several:
         names = regime_names(ds["regime"])
         ends = {int(flag) for state in states for flag in regime_cells(ds[f"regime_{state}"]) if flag > 0}
@@ -108,7 +108,7 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
         text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
         up = height if leaves else height / 2
         layers.append(Bars([side - 0.3], [0.0], [0.6], [height], fill, **look))
-        layers.append(Text(float(side), up, text, baseline="bottom", box=True, offset=(0.0, 3.0 * leaves)))
+        layers.append(Text(float(side), up, text, baseline="bottom", halo=1.5, offset=(0.0, 3.0 * leaves)))
     ticks = [(float(k), _SIDES[int(sign)][2]) for k, sign in enumerate(ds["sign"].values)]
     top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
     label = with_unit(f"push in {SYMBOLS.get(state, state)}", unit)

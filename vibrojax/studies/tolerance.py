@@ -165,8 +165,8 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
                 layers.append(dots(values_along(ds[name])[ends], y[ends], **_EXTREME))
                 layers.append(replace(_NOMINAL_POINT, x=values_along(ds[name])[:1], y=y[:1]))
                 layers.append(Points(values_along(ds[name]), y, colours, size, **look))
-            across = axis(ds[name], group=name, margin=0.08, intervals=4)
-            up = axis(lanes[quantity], group=quantity, margin=0.08)
+            across = axis(ds[name], group=name, intervals=4)
+            up = axis(lanes[quantity], group=quantity)
             plots.append(Plot(layers, across, up, place=(row, column)))
     keys = regime_keys([lanes["regime"]])
     for marker, start in zip(_MARKERS, starts if len(starts) > 1 else [], strict=False):
