@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from systems import IMPACT_OSCILLATOR, oscillator_orbits
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -276,3 +277,58 @@ def test_bad_input_is_refused_in_one_line(change, line):
     with pytest.raises(InputError) as caught:
         read_calibration({"scene": "rotary", "unknown": WIDE, **change} if "history" in change else rows | change)
     assert line in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.long
+def test_observations_on_both_sides_of_an_impact_at_the_section_are_used():
+    """At a = 0.84, where the orbit's impact passes the section, only the state there jumps."""
+    point, a = {"w": 0.9, "damping": 0.1, "stop": 1.0}, [0.75, 0.8, 0.88]
+    speeds = [oscillator_orbits(R=0.7, stiffness=1.0, a=x, **point)[-1].speed for x in a]
+    known = {"scene": IMPACT_OSCILLATOR, "parameters": point, "data": {"a": a, "impact_velocity": speeds}}
+    fit = vj.calibrate({**known, "unknown": {"r": [0.5, 0.9]}, "searches": 1, "draws": 2}, progress=False)
+    assert fit.used.all() and fit.estimate.item() == pytest.approx(0.7, rel=1e-7)
+
+
+@pytest.mark.long
+def test_standard_errors_cover_true_parameters(motion):
+    """In standard errors, the squared distance from the truth is chi-squared with two degrees of freedom."""
+    noise, distances = 2e-3, []
+    truth = np.array([*TRUE_VALUES.values()])
+    errors = {name: noise * float(np.abs(motion[name]).mean()) for name in OBSERVED}
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        exact = _runs(motion)
+        data = {"v": SPEEDS} | {
+            name: exact[name] + errors[name] * rng.standard_normal(len(SPEEDS)) for name in OBSERVED
+        }
+        fit = _calibrated(data, error=errors, draws=2)
+        stderr = fit.estimate_stderr.values
+        covariance = fit.correlation.values * np.outer(stderr, stderr)
+        deviation = fit.estimate.values - truth
+        distances.append(deviation @ np.linalg.solve(covariance, deviation))
+    # The mean is 2 and its standard error is sqrt(4/10). The test allows four standard errors.
+    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 10)
+
+
+@pytest.mark.long
+def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history):
+    """In standard errors, the squared distance from the truth is chi-squared with two degrees of freedom."""
+    rng, noise, distances = np.random.default_rng(20260102), 0.005, []
+    for _ in range(20):
+        noisy = history[["v1"]].assign(v1=history.v1 + noise * rng.standard_normal(history.sizes["time"]))
+        fit = from_history({"data": noisy, "window": [0.0, 0.5], "start": "stuck"}, searches=1, draws=2)
+        size = np.sqrt(np.mean(fit.observed.values**2))
+        assert float(fit.noise) * size == pytest.approx(noise, rel=0.3)
+        stderr, deviation = fit.estimate_stderr.values, fit.estimate.values - [*FRICTION.values()]
+        distances.append(deviation @ np.linalg.solve(fit.correlation.values * np.outer(stderr, stderr), deviation))
+    # The mean is 2 and its standard error is sqrt(4/20). The test allows four standard errors.
+    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 20)
+
+
+@pytest.mark.long
+def test_law_without_a_rate_at_any_observation_is_refused():
+    """Blows whose mean force stays below the threshold penetrate, but C ln(P/D) is negative there."""
+    data = {"v (m/s)": [1.3, 1.7], "beta": [0.5, 0.5], "rate_of_penetration (mm/s)": [0.4, 1.6]}
+    about = {"scene": "drilling", "start": "stuck", "searches": 1, "parameters": {"rock": "sandstone"}, "data": data}
+    with pytest.raises(vj.InputError, match=r"the law C ln\(P/D\) gives no rate up to P/D = 1"):
+        vj.calibrate(about | {"unknown": {"C": [1e-4, 0.1]}, "error": {"rate_of_penetration": 1e-4}}, progress=False)

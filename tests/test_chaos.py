@@ -4,17 +4,34 @@ import itertools
 
 import numpy as np
 import pytest
-from systems import IMPACT_OSCILLATOR, lorenz, oscillator_orbits
+from systems import IMPACT_OSCILLATOR, LORENZ, lorenz, oscillator_orbits
 
 import vibrojax as vj
 from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR
-from vibrojax.periodic.growth import exponents, zero_one
+from vibrojax.periodic.growth import exponents, grow, zero_one
 
 GAP = {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"delta": 0.005}}
 # One irregular, one quasi-periodic and two periodic lanes (see test_natures).
 LANES = GAP | {"points": {"beta": [0.5, 0.5, 0.4, 0.3], "gamma": [0.7, 0.67, 0.59, 0.6]}, "run": {"lyapunov": True}}
+
+
+FLOWS = {
+    "roessler": (
+        {"x": "1", "y": "1", "z": "1"},
+        lambda t, y, p: {"x": -y["y"] - y["z"], "y": y["x"] + 0.2 * y["y"], "z": 0.2 + y["z"] * (y["x"] - 5.7)},
+        {"section": "x"},
+    ),
+    "duffing": (
+        {"x": "1", "v": "1"},
+        lambda t, y, p: {
+            "x": y["v"],
+            "v": -0.3 * y["v"] + y["x"] - y["x"] ** 3 + p["a"] * vj.elementary.cos(1.2 * t),
+        },
+        {"period": lambda p: 2 * np.pi / 1.2},
+    ),
+}
 
 
 @pytest.fixture(scope="module")
@@ -165,3 +182,32 @@ def test_unsuitable_sweep_is_refused_in_one_line(tables, line):
     with pytest.raises(InputError) as caught:
         vj.read_sweep({"scene": "vibro-impact", "grid": {"gamma": [0.7]}} | tables)
     assert line in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FLOWS)
+def test_error_of_exponents_of_flows(name):
+    """The mean over all lanes is known ten times better than the exponent of one. (Lorenz: `test_lorenz`.)"""
+    states, field, more = FLOWS[name]
+    scene = vj.System(f"exponent-{name}", states=states, parameters={"a": 0.5}, field=field, **more)
+    starts = {"sample": "random", "count": 100, "seed": 0, "box": {key: [0.1, 0.9] for key in states}}
+    run = {"settle": 100.0, "observe": 60.0, "keep_returns": 2}
+    lanes = vj.run_sweep({"scene": scene, "starts": starts, "run": run}, progress=False)
+    sweep = vj.read_sweep({"scene": scene, "grid": {"a": [0.5]}})
+    returns = sweep.system.return_states
+    state = np.stack([lanes[f"return_{name}"].values.reshape(100, -1)[:, -1] for name in returns])
+    growth = grow(sweep.system, {"a": np.full(100, 0.5)}, state, np.ones_like(state), np.ones_like(state), 2048)
+    inside, _ = covered(growth.rate, growth.time, growth.rate.sum() / growth.time.sum())
+    assert 0.9 <= inside <= 0.98
+
+
+@pytest.mark.long
+def test_longer_observation_has_smaller_error():
+    errors = []
+    for observe in (50.0, 500.0):
+        run = {"settle": 20.0, "observe": observe, "lyapunov": True}
+        starts = [[x, 2.0, 3.0] for x in range(1, 9)]
+        lanes = vj.run_sweep({"scene": LORENZ, "grid": {"r": [28.0]}, "starts": starts, "run": run}, progress=False)
+        assert (np.abs(lanes.lyapunov - 0.9056) < 4 * lanes.lyapunov_stderr).all()
+        errors.append(float(lanes.lyapunov_stderr.mean()))
+    assert 2.5 < errors[0] / errors[1] < 4.5  # about the root of ten

@@ -225,3 +225,16 @@ def test_rock_begins_to_yield_at_force_of_linear_response():
     assert (family.rate_of_penetration.values[family.force.values > onset + 1.0] > 0).all()
     [note] = family.special_note.values[family.special_kind.values == SPECIAL_KINDS.index("grazing")]
     assert "rock" in note
+
+
+@pytest.mark.long
+def test_multipliers_at_fold_follow_root_of_distance():
+    family = follow_drill(along="v", at=2.6, span=(2.6, 3.0), beta=0.3, gamma=0.8, start="drive", cycles=1)
+    [fold] = specials(family, "fold")
+    distance = np.abs(family.v.values - fold)
+    near = (distance > 1e-6) & (distance < 5e-3)
+    assert near.sum() >= 4
+    nearest = np.abs(family.multiplier_abs.values * np.exp(1j * family.multiplier_arg.values) - 1).min(axis=1)[near]
+    rate = nearest / np.sqrt(distance[near])
+    np.testing.assert_allclose(rate, rate.mean(), rtol=0.2)
+    assert {0, 1} <= set(family.stable.values[near].tolist())

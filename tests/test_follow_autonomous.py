@@ -2,12 +2,26 @@
 
 import numpy as np
 import pytest
-from systems import IMPACT_OSCILLATOR, VAN_DER_POL
+from systems import IMPACT_OSCILLATOR, VAN_DER_POL, mass
 
 import vibrojax as vj
 from vibrojax.cli import main
 
 E = vj.elementary
+
+
+def gear():
+    return vj.System(
+        "gear",
+        states={"x": "1", "v": "1"},
+        parameters={"om": 1.5, "fa": 0.2},
+        field=lambda t, y, p, s: {
+            "x": y["v"],
+            "v": 0.2 + p["fa"] * E.cos(p["om"] * t) - 0.1 * y["v"] - 0.5 * (s["right"] + 1) * (y["x"] - 1),
+        },
+        period=lambda p: 2 * np.pi / p["om"],
+        events=[vj.Switch("right", lambda t, y, p: y["x"] - 1)],
+    )
 
 
 def points(family, kind):
@@ -339,3 +353,123 @@ def test_small_forced_motion_goes_on():
     assert kinds(family) == {"end"} and family.special_value.values.min() == pytest.approx(1e-6)
     ratio = family.orbit_x.values / family.a.values
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
+
+
+@pytest.mark.long
+def test_circles_cross_at_a_branch_point():
+    """Two limit cycles, the circles r = a and r = 2 with the period 1, cross at a = 2."""
+
+    def field(t, y, p):
+        square = y["x"] ** 2 + y["y"] ** 2
+        pull = square - (p["a"] + 2.0) * E.sqrt(square) + 2.0 * p["a"]
+        return {"x": -y["x"] * pull - 2 * np.pi * y["y"], "y": -y["y"] * pull + 2 * np.pi * y["x"]}
+
+    circles = vj.System("circles", states={"x": "1", "y": "1"}, parameters={"a": 1.0}, field=field, section="y")
+    family = vj.follow(
+        circles, along="a", at=1.0, span=(0.5, 3.0), start=[2.1, 0.0], settle=50.0, observe=15.0, cycles=1,
+        progress=False,
+    )  # fmt: skip
+    assert kinds(family) == {"branch-point", "end"}
+    assert points(family, "branch-point") == [(0, pytest.approx(2.0, abs=1e-9))]
+    for branch in (0, 1):
+        own = family.branch.values == branch
+        radius = np.abs(family.orbit_x.values[own])
+        circle = 2.0 if np.ptp(radius) < 1e-6 else family.a.values[own]
+        assert radius == pytest.approx(circle, abs=1e-8)
+        assert family.period.values[own] == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.long
+def test_mirrored_branch_points_are_all_followed():
+    """Two pitchforks at m = 0 and 1 that do not act upon each other have nine equilibria."""
+
+    def field(t, y, p):
+        return {"x": p["m"] * y["x"] - y["x"] ** 3, "y": (p["m"] - 1) * y["y"] - y["y"] ** 3}
+
+    _, family = rests({"x": "1", "y": "1"}, field, -0.5, (-1.0, 2.0))
+    last = family.m.values == 2.0
+    ends = np.round(np.column_stack([family.orbit_x.values, family.orbit_y.values])[last] / [2**0.5, 1.0], 9) + 0.0
+    assert {tuple(x) for x in ends.tolist()} == {(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)}
+    assert [value for _, value in points(family, "branch-point")] == pytest.approx([0.0, 1.0, 1.0, 1.0], abs=1e-9)
+
+
+@pytest.mark.long
+def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
+    """Circles r² = m around both equilibria z² = 1 + m."""
+
+    def field(t, y, p):
+        growth = y["z"] ** 2 - 1 - y["x"] ** 2 - y["y"] ** 2
+        z = (p["m"] + 1) * y["z"] - y["z"] ** 3
+        return {"x": growth * y["x"] - y["y"], "y": growth * y["y"] + y["x"], "z": z}
+
+    system, family = rests(dict.fromkeys("xyz", "1"), field, -1.5, (-2.0, 1.0))
+    assert [value for _, value in points(family, "hopf")] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert family.special_note.values[family.special_value.values > 0.9].tolist() == ["the last value is reached"] * 3
+    circles = vj.follow(system, from_hopf=family, cycles=1, span=(-0.1, 0.5), progress=False)
+    last = circles.m.values == 0.5
+    assert sorted(circles.orbit_z.values[last]) == pytest.approx([-(1.5**0.5), 1.5**0.5], abs=1e-8)
+    with pytest.raises(vj.InputError, match="outside the span"):
+        vj.follow(system, from_hopf=family, span=(0.2, 0.5), progress=False)
+
+
+@pytest.mark.long
+def test_points_bear_the_names_of_switches():
+    """Teeth of a gear touch on one side, and part: nothing sticks."""
+    family = vj.follow(
+        gear(),
+        along="om",
+        at=1.43,
+        span=(1.4, 1.44),
+        start=[1.2, 0.0],
+        settle=150.0,
+        observe=30.0,
+        cycles=1,
+        progress=False,
+    )
+    assert kinds(family) == {"right", "end"}
+    linear = 1.2 - 0.2 / np.hypot(1 - 1.41067**2, 0.141067)  # the teeth just part at the amplitude 0.2
+    assert points(family, "right") == [(0, pytest.approx(1.41067, abs=1e-5))] and linear == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.long
+def test_real_eigenvalues_of_opposite_sign_are_no_hopf_point():
+    """At m = 0 the eigenvalues 1 and -1 sum to zero; the pair beside them keeps its real part -1/2."""
+
+    def field(t, y, p):
+        return {
+            "x": y["x"], "y": (p["m"] - 1) * y["y"],
+            "z": -0.5 * y["z"] - y["w"], "w": y["z"] - 0.5 * y["w"],
+        }  # fmt: skip
+
+    _, family = rests(dict.fromkeys("xyzw", "1"), field, -0.7, (-1.0, 0.5))
+    assert kinds(family) == {"end"}
+
+
+@pytest.mark.long
+def test_given_orbit_of_a_scene_with_events():
+    """An unstable orbit of a family begins the same family."""
+    point = {"along": "gamma", "span": (0.6, 1.3), "beta": 0.4, "delta": 0.005, "cycles": 1, "progress": False}
+    family = vj.follow("vibro-impact", at=0.75, start="stuck", **point)
+    unstable = np.flatnonzero(family.stable.values == 0)
+    orbit = family.isel(point=int(unstable[np.abs(family.gamma.values[unstable] - 0.95).argmin()]))
+    states = [float(orbit.orbit_x1), 0.0, float(orbit.orbit_x2), float(orbit.orbit_v2)]
+    begun = vj.follow(
+        "vibro-impact", at=float(orbit.gamma), orbit={"states": states, "period": float(orbit.period)}, **point
+    )
+    assert np.abs(begun.gamma.values - float(orbit.gamma)).min() < 1e-12
+    assert kinds(begun) == kinds(family)
+    for kind in ("stick", "fold"):
+        expected = sorted(value for _, value in points(family, kind))
+        assert sorted(value for _, value in points(begun, kind)) == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.long
+def test_curves_bear_the_names_of_switches():
+    family = vj.follow(gear(), along="om", at=1.5, span=(1.3, 1.6), start=[1.2, 0.0], settle=300.0, progress=False)
+    curves = vj.curves(family, by="fa", span=(0.1, 0.3), progress=False)
+    assert np.array(curves.kind.attrs["flag_meanings"].split())[curves.kind.values].tolist() == ["right"]
+
+
+def test_switch_with_the_name_of_a_special_point_is_refused():
+    with pytest.raises(vj.InputError, match="that is a kind of special points"):
+        mass(lambda t, y, p, s: s["fold"], vj.Switch("fold", lambda t, y, p: y["x"]))

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from systems import (
+    BALL,
     IMPACT_OSCILLATOR,
+    ball_appears,
+    ball_doubles,
+    ball_orbit,
     oscillator_doubles,
     oscillator_grazes,
     oscillator_orbits,
@@ -90,3 +94,16 @@ def test_rotations_of_a_pendulum_whose_angle_jumps_back():
     assert family.torque.values.min() == pytest.approx(0.597383, abs=1e-5) and family.torque.values.max() == 3.0
     assert family.period.values[family.torque.values.argmin()] > 30
     np.testing.assert_allclose(family.multiplier_abs[:, 0], np.exp(-0.5 * family.period), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.long
+def test_fold_and_period_doubling_of_ball_on_shaken_table():
+    w, g = 2 * np.pi, 9.81
+    low, high = ball_appears(0.5), ball_doubles(0.5)
+    a = (low + high) / 2 * g / w**2
+    orbit = ball_orbit((low + high) / 2, 0.5, w, g)
+    start = [-a - float(orbit.section[0]), -float(orbit.section[1])]  # relative to the table, positive downwards
+    span = (0.9 * low * g / w**2, 1.05 * high * g / w**2)
+    family = vj.follow(BALL, along="a", at=a, span=span, start=start, cycles=1, progress=False)
+    assert special_values(family, "fold") * w**2 / g == pytest.approx([low], rel=1e-8)
+    assert special_values(family, "period-doubling") * w**2 / g == pytest.approx([high], rel=1e-8)

@@ -278,3 +278,31 @@ def test_optimizer_converges(f):
 def test_wrong_arguments_are_refused(arguments, message):
     with pytest.raises(InputError, match=message):
         vj.as_jax("vibro-impact", **{"of": "period", "by": ["beta", "gamma"]} | arguments)
+
+
+@pytest.mark.long
+def test_orbit_continues_where_an_impact_passes_the_section():
+    """At a = 0.84 the state at the section jumps, and nothing else; the motion is that of a closed form."""
+    point = {"w": 0.9, "damping": 0.1, "stop": 1.0, "r": 0.7}
+    f = vj.as_jax(IMPACT_OSCILLATOR, of="impact_velocity", by="a", at=[1.0], **point)
+    for a in (0.8, 0.6):
+        assert f([a])["valid"] and f([a])["impact_velocity"] == pytest.approx(impact_speed(a=a, **point), rel=1e-8)
+        slope = (impact_speed(a=a + 1e-6, **point) - impact_speed(a=a - 1e-6, **point)) / 2e-6
+        assert jax.grad(lambda x: f(x)["impact_velocity"])(jnp.array([a])) == pytest.approx(slope, rel=1e-6)
+
+
+@pytest.mark.long
+def test_derivatives_of_grazing_margin_of_own_system():
+    """The margin is a ratio, so that no unit of length or of time changes it; central differences confirm its slope."""
+    p, h = {name: parameter.default for name, parameter in IMPACT_OSCILLATOR.parameters().items()}, 1e-5
+    rows = [p, p | {"w": p["w"] + h}, p | {"w": p["w"] - h}]
+    points = {name: [row[name] for row in rows] for name in p}
+    run = {"settle": 400.0, "observe": 100.0}
+    sweep = {"scene": IMPACT_OSCILLATOR, "points": points, "starts": [[0.0, 0.0]], "run": run}
+    ds = vj.sensitivity(sweep, by=list(p), progress=False).squeeze("start")
+    margin, up, down = ds.grazing_margin.values
+    slopes = {name: ds.d_grazing_margin.sel(parameter=name).values[0] * p[name] for name in p}
+    assert margin > 0.1 and abs(slopes["a"]) > 0.1
+    assert slopes["a"] + slopes["stop"] == pytest.approx(0.0, abs=1e-8)
+    assert slopes["w"] + slopes["damping"] + 2 * (slopes["stiffness"] + slopes["a"]) == pytest.approx(0.0, abs=1e-8)
+    assert slopes["w"] / p["w"] == pytest.approx((up - down) / (2 * h), rel=1e-6)

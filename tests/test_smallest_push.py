@@ -103,3 +103,13 @@ def test_push_command(strong_cycle, tmp_path, capsys, monkeypatch):
     stored = vj.open_dataset(tmp_path / "vibro-impact-push.nc")
     np.testing.assert_array_equal(stored.push_x1, strong_cycle.push_x1)
     assert Pushes().summary(stored) == Pushes().summary(strong_cycle)
+
+
+def test_smallest_push_leaves_and_next_smaller_returns(strong_cycle):
+    """Only a push of the bit against the drive leaves the cycle, as full runs three times as long confirm."""
+    has_push = {name: np.isfinite(strong_cycle[f"push_{name}"].values).tolist() for name in STATES}
+    assert has_push == {"x1": [False, True], "v1": [False] * 2, "x2": [False] * 2, "v2": [False] * 2}
+    push, bracket = float(strong_cycle.push_x1[1]), float(strong_cycle.bracket_x1[1])
+    assert int(strong_cycle.regime_x1[1]) == IRREGULAR
+    velocity = run_after_pushes(strong_cycle, "x1", [0.0, push - bracket, push], gamma=0.75).impact_velocity.values
+    assert velocity[1] == pytest.approx(velocity[0], rel=1e-6) and velocity[2] < 0.3 * velocity[0]

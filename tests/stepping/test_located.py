@@ -183,3 +183,16 @@ def test_slip_that_ends_immediately(dtype, touching):
     reached, steps = end_states(DRILL, Located(), c, state, settings, jnp.asarray(0.004, dtype))
     assert np.all(np.isfinite(reached))
     assert np.max(steps) < 100
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("start", "values"),
+    [
+        ("stuck", {"beta": 0.63, "gamma": 1.7, "v": 1.23, "delta": -0.0048, "k0": 1e10, "c0": 100, "c2": 2e3, "mu": 1}),
+        ("drive", {"beta": 0.2742, "gamma": 1.7444, "v": 0.0393, "delta": -0.0161, "k0": 1e9, "c0": 0.0}),
+    ],
+)
+def test_stick_ends_in_stiff_contact(start, values):
+    """The stick limit falls with J, whose rounding errors are k0 times those of x2. Step halving must still end."""
+    assert final_states(DRILL, Located(), constants(DRILL, **values), start, 0.5)[1] < 20_000

@@ -1,13 +1,17 @@
 """Test truncated Taylor series: arithmetic against Cauchy's integral, expansions against closed-form solutions."""
 
 import operator
+from math import factorial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.polynomial.polynomial import polyval
 
 from vibrojax.physics import elementary
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.scenes.vibro_impact import VibroImpact
 from vibrojax.stepping.series import expand, known
 
 ORDER = 9
@@ -102,3 +106,32 @@ def test_expansion_of_solution(rates, start, solution):
     [expansion, *_] = expand(rates, tuple(jnp.full(2, x) for x in start), jnp.asarray(h), ORDER)
     expected = cauchy(solution(CIRCLE)[:, None]) * h**POWERS
     np.testing.assert_allclose(expansion.arrays(ORDER, jnp.zeros(2)), expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("law", FRICTION_LAWS)
+def test_expansion_of_drill_against_repeated_differentiation(law):
+    """y^(k+1) = (d y^(k)/dy) f(y) by nested forward derivatives of the field on arrays, which do not use series.
+
+    The four lanes are in different modes.
+    """
+    scene = VibroImpact(friction=FRICTION_LAWS[law])
+    p = {name: jnp.asarray(parameter.default) for name, parameter in scene.parameters().items()}
+    p = scene.constants(p | {"k0": jnp.asarray(4e5), "c0": jnp.asarray(50.0)})
+    slip, touching = jnp.asarray([1.0, 1.0, -1.0, 0.0]), jnp.asarray([1.0, 0.0, 1.0, 1.0])
+    state = (jnp.full(4, 0.01), 0.4 * slip - 1.5, jnp.full(4, 0.004), jnp.full(4, 0.9))
+    field = lambda y: scene.field(p, (slip, touching), y)  # noqa: E731
+
+    def differentiate_along_field(derivative):
+        return lambda y: jax.jvp(derivative, (y,), (field(y),))[1]
+
+    order, h = 5, 0.003
+    expansions = jax.jit(lambda y: [c.arrays(order, slip) for c in expand(field, y, h, order)])(state)
+    derivatives = [field]
+    for _ in range(1, order):
+        derivatives.append(differentiate_along_field(derivatives[-1]))
+    # compiled together, because they have much in common
+    derivative_values = jax.jit(lambda y: [derivative(y) for derivative in derivatives])(state)
+    for k, values in enumerate(derivative_values, 1):
+        expected = np.array(values) * h**k / factorial(k)
+        np.testing.assert_allclose([c[k] for c in expansions], expected, rtol=1e-9, atol=1e-13, err_msg=str(k))
