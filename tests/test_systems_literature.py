@@ -241,6 +241,3 @@ def test_trajectory_of_two_blocks_on_a_belt():
     assert min(len(sticks), len(slips)) > 20
     assert events_of(motion, "stick") == pytest.approx(sticks, abs=1e-7)
     assert events_of(motion, "slip") == pytest.approx(slips, abs=1e-7)
-
-
-# Van der Pol's oscillator
