@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from systems import WALLS
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -162,20 +163,7 @@ def test_branch_ends_at_pitchfork():
     Close to it they are less than 1 % apart: a twin that is followed beyond does not become the symmetric orbit, which
     is stable there, nor does the symmetric orbit become a twin on the other side.
     """
-    walls = vj.System(
-        "walls",
-        states={"x": "m", "v": "m s-1"},
-        parameters={"d": 0.32},
-        field=lambda t, y, p: {"x": y["v"], "v": vj.elementary.cos(0.9 * t) - 0.06 * y["v"] - y["x"]},
-        period=lambda p: 2 * np.pi / 0.9,
-        events=[
-            vj.Impact(
-                f"wall{s + 1}", gap=lambda t, y, p, s=s: p["d"] - s * y["x"], velocity="v", restitution=lambda p: 0.7
-            )
-            for s in (1, -1)
-        ],
-    )
-    twin, symmetric = (vj.as_jax(walls, of="impact_velocity", by="d", start=[0.1, 0.3], at=[at]) for at in (0.32, 0.4))
+    twin, symmetric = (vj.as_jax(WALLS, of="impact_velocity", by="d", start=[0.1, 0.3], at=[at]) for at in (0.32, 0.4))
     d = np.array([[0.32], [0.34], [0.345], [0.37]])
     for function in twin, symmetric:
         function(d[0])

@@ -6,6 +6,7 @@ from scipy.optimize import brentq
 from systems import (
     BALL,
     IMPACT_OSCILLATOR,
+    WALLS,
     ball_appears,
     ball_doubles,
     ball_orbit,
@@ -107,3 +108,15 @@ def test_rotations_of_a_pendulum_whose_angle_jumps_back():
     assert family.torque.values.min() == pytest.approx(0.597383, abs=1e-5) and family.torque.values.max() == 3.0
     assert family.period.values[family.torque.values.argmin()] > 30
     np.testing.assert_allclose(family.multiplier_abs[:, 0], np.exp(-0.5 * family.period), rtol=1e-6, atol=1e-9)
+
+
+def test_graze_is_the_same_from_both_sides():
+    """The orbit with one impact at each wall grazes both, where a branch with two impacts at each leads to it.
+
+    On the side of two impacts, multipliers grow as the square of the inverse velocity of these impacts.
+    """
+    [smooth], [steep] = (
+        special_values(vj.follow(WALLS, along="d", at=0.4, span=span, start=start, cycles=1, progress=False), "grazing")
+        for start, span in (([0.2, -0.6], (0.29, 0.41)), ([0.1, 0.3], (0.29, 0.46)))
+    )
+    assert steep == pytest.approx(smooth, rel=2e-9)
