@@ -91,11 +91,8 @@ REFUSED: dict[str, tuple[Change, str]] = {
 """Malformed datasets, each with a part of the error message."""
 
 SHOWN: dict[str, Change] = {
-    "a history of 5 MB": attribute("history", HUGE),
-    "settle is 30 years": run(settle=1e9),
-    "a title that steers": attribute("title", STEERING),
-    "markup everywhere": lambda ds: each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(
-        ds.assign_attrs(title=MARKUP, scene=MARKUP, friction=MARKUP, start=MARKUP)
+    "texts that steer": lambda ds: each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(
+        ds.assign_attrs(history=HUGE, title=f"{STEERING} {MARKUP}", scene=MARKUP, friction=MARKUP, start=MARKUP)
     ),
     "a variable called __proto__": lambda ds: ds.rename(period="__proto__"),
     "no attributes": lambda ds: ds.drop_attrs(),

@@ -29,16 +29,6 @@ def test_errors_shrink_with_tolerance(study):
     check_tolerances(study, "penetration")
 
 
-@pytest.mark.long
-def test_errors_of_every_method_shrink():
-    study = run_accuracy(["vibro-impact"], quick=True, progress=False)
-    check_tolerances(study, "vibro-impact")
-    for method in ("smoothed", "diffrax Tsit5"):
-        smoothed = settings_for(study, "vibro-impact", method, "width")
-        assert np.all(np.diff(smoothed["error_worst"].values) > 0)
-        assert np.all(smoothed["error_median"] <= smoothed["error_worst"])
-
-
 def test_unsupported_settings_are_kept(study):
     failed = settings_for(study, "penetration", "diffrax Tsit5", "width")
     assert failed.sizes["setting"] == 1 and [*STATUSES][int(failed["status"][0])] == "unsupported"
@@ -66,3 +56,13 @@ def test_pareto_front():
     assert pareto(time, error).tolist() == [True, True, False, False, False, True, False, False]
     assert pareto([1.0, 1.0], [1.0, 1.0]).tolist() == [True, True]  # neither beats the other
     assert pareto([], []).size == 0
+
+
+@pytest.mark.long
+def test_errors_of_every_method_shrink():
+    study = run_accuracy(["vibro-impact"], quick=True, progress=False)
+    check_tolerances(study, "vibro-impact")
+    for method in ("smoothed", "diffrax Tsit5"):
+        smoothed = settings_for(study, "vibro-impact", method, "width")
+        assert np.all(np.diff(smoothed["error_worst"].values) > 0)
+        assert np.all(smoothed["error_median"] <= smoothed["error_worst"])

@@ -86,22 +86,6 @@ def test_constants():
     assert f"{cli.INTERRUPTED} interrupted" in commands and f"{cli.TERMINATED} terminated" in commands
 
 
-def test_table_of_hard_cases():
-    """Compare with `tests/hard/README.md`, which `tests/hard/check.py` refreshes. Each row adds up to its lanes."""
-    page, hard = text_of("accuracy"), text_of(HARD)
-    rows = [
-        [int(x) for x in re.findall(r"\d+", cells)]
-        for cells in re.findall(r"\| drill, float\d\d \|((?: \d+ \|)+)", page)
-    ]
-    lanes, *double = rows[0]
-    assert sum(double) == lanes == sum(rows[1][1:]) == rows[1][0] == vj.read_sweep("hard-cases").lanes
-    single = ", ".join(map(str, rows[1][1:3])) + f" and {rows[1][3]}"
-    exact = f"of {lanes} lanes {double[0]} are exact, {double[1]} refused and {double[2]} flagged (float32: {single})"
-    assert exact in hard
-    rock = re.search(r"\| rock, three scenes \| (\d+) \| (\d+), and one to 2e-5 \|", page)
-    assert f"Of {rock[1]} on rock {rock[2]} are exact" in hard and int(rock[2]) == int(rock[1]) - 1
-
-
 def row(start: str) -> list[float]:
     """Return the numbers of a row of the table of times, without their spreads: on Python 3.13, then on 3.11."""
     line = next(line for line in (ROOT / BENCHMARKS).read_text().splitlines() if line.startswith(f"| {start}"))
@@ -116,6 +100,6 @@ def test_times_match_benchmarks():
     early = row("the same, settled lanes ended early")[0] / (12_096 * 48.0)
     names = {3: "three", 4: "four", 5: "five", 6: "six", 7: "seven"}
     costs = f"{names[round(1e6 * early)]} to {names[round(float(own.split('|')[3]))]}"
-    for page in (text_of("README.md"), text_of("how_it_works")):
-        assert round(new) == round(old) and f"takes {new:.0f} s from nothing on two cores" in page
-        assert f"costs {costs} microseconds" in page
+    readme, methods = text_of("README.md"), text_of("how_it_works")
+    assert round(new) == round(old) and f"takes {new:.0f} s on two cores" in readme
+    assert f"costs {costs} microseconds" in readme and f"costs {costs} microseconds" in methods

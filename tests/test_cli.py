@@ -45,9 +45,9 @@ def test_help_imports_nothing_heavy():
     out = completed.stdout
     assert out.splitlines()[-1] == f"{[0] * (2 + len(_COMMANDS))} set()", out + completed.stderr
     for words in (
-        "scan (pushes of each scan in a direction: 256)",
+        "scan (number of pushes per scan and direction; default: 256)",
         "--axes X,Y",
-        "settle (time before the observation",
+        "settle (simulated time before the observation",
     ):
         assert words in " ".join(out.split()), out
 
@@ -64,15 +64,10 @@ def test_source_declares_what_the_class_has():
             assert source.get(attribute) == getattr(analysis, attribute, None), (kind, attribute)
 
 
-@pytest.mark.parametrize(
-    ("argv", "line"),
-    [
-        (["sweep", "no.toml"], "vibrojax: no.toml: no such file; give the path of one that is there\n"),
-        (["simulate", "rotery"], 'vibrojax: simulate: scene: "rotery" is unknown; did you mean "rotary"?\n'),
-    ],
-)
-def test_python_m_matches_command(argv, line, tmp_path):
-    completed = subprocess.run([sys.executable, "-m", "vibrojax", *argv], capture_output=True, text=True, cwd=tmp_path)
+def test_python_m_matches_command(tmp_path):
+    words = [sys.executable, "-m", "vibrojax", "sweep", "no.toml"]
+    completed = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
+    line = "vibrojax: no.toml: no such file; give the path of one that is there\n"
     assert (completed.returncode, completed.stdout, completed.stderr) == (2, "", line)
 
 
@@ -105,10 +100,8 @@ def test_dry_run_only_prints_estimate(here, capsys):
         (["sweep", "map.toml", "-o", "map.txt"], '-o: "map.txt" does not end in .nc'),
         (["sweep", "map.toml", "-o", "no/map.nc"], '-o: "no/map.nc": "no" does not exist; give a file in a folder'),
         (["sweep", "map.toml", "-o", "taken.nc"], '-o: "taken.png" is a folder'),
-        (["simulate", "rotary", "delta=1"], 'simulate: delta: scene "rotary" has no delta; it has m1'),
         (["simulate", "rotary", "beta=1", "beta=2"], 'simulate: beta: "2" is a second value'),
         (["simulate", "rotary", "beta=0,4"], 'simulate: beta: "0,4" is text; write 0.4, with a point'),
-        (["simulate"], "simulate: the following arguments are required: SCENE; see vibrojax simulate --help"),
         (["scenes", "rotary", "x=1"], "scenes: unrecognized arguments: x=1; see vibrojax scenes --help"),
         (["simulate", "rotary", "start=[0,0"], 'simulate: start: "[0,0" is not a vector'),
     ],
@@ -179,13 +172,6 @@ def test_info_reports_uncertain_lanes():
     text = "\n".join(summary_lines(summarise(dataset)))
     assert "largest inf" in text and "66.67 % of 3 periodic lanes within the accepted 0.001" in text
     assert "1 of 6 regimes differ at the check run's coarser resolution" in text
-
-
-def test_info_accepts_missing_variables():
-    dataset = labelled().drop_vars("regime")
-    dataset.attrs = {}
-    assert summary_lines(summarise(dataset))
-    assert summary_lines(summarise(xr.Dataset({"x1": ("time", [0.0, 1.0])}, coords={"time": [0.0, 1.0]})))
 
 
 def test_decimal_comma_in_a_file_is_explained(tmp_path, capsys):

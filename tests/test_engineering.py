@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.errors import InputError, Place
+from vibrojax.errors import Place
 from vibrojax.maps.read import read_point
 from vibrojax.settings.names import read_names
 
@@ -47,10 +47,6 @@ def test_wider_hole_takes_less_energy_per_volume():
         volume = np.pi * 0.05**2 * float(ds.rate_of_penetration)
         assert volume > 0 and float(ds.specific_energy) == pytest.approx(float(ds.impact_power) / volume)
     assert ds.specific_energy.bit_radius == 0.05
-    alone = vj.read_sweep(shared | {"parameters": {**values, "v": 2.0, "bit_radius": 0.05}, "grid": {"gamma": [0.75]}})
-    assert alone.hole_radius == 0.05 and alone.parameters["v"] == 2.0
-    with pytest.raises(InputError, match="v is given as well"):
-        vj.read_sweep(shared | {"parameters": rotation | {"v": 1.0}, "grid": {"gamma": [0.75]}})
 
 
 @pytest.mark.parametrize("scene", vj.SCENES)

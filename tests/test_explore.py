@@ -4,7 +4,6 @@ import base64
 import json
 import re
 import zlib
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from matplotlib.colors import Normalize
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, page_text, write, write_page
+from vibrojax.explorer import Cell, contents_of, encode, module_text, page_text, write, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
@@ -44,15 +43,6 @@ def plane() -> xr.Dataset:
 @pytest.fixture(scope="module")
 def cells(plane: xr.Dataset) -> list[Cell]:
     return list(contents_of(plane, progress=False).cells)
-
-
-@cache
-def run_of(lane: int) -> xr.Dataset:
-    """Return a single run of a lane of the plane."""
-    sweep = read_sweep(PLANE)
-    values, start = sweep.lane_values(lane, lane + 1)
-    point = {name: float(values[name][0]) for name in ("beta", "gamma", "delta")}
-    return vj.simulate("vibro-impact", **point, start=sweep.start_names[start[0]], duration=48.0, progress=False)
 
 
 def unpack(packed: dict) -> np.ndarray:
@@ -99,39 +89,18 @@ def test_cells_survive_encoding(seed: int, sizes: list[int]) -> None:
 # Motions.
 
 
-def test_cell_is_settled_motion_of_its_lane(plane: xr.Dataset, cells: list[Cell]) -> None:
-    """Compare cells with single runs: an orbit starts at its section, closes, and follows the run."""
+def test_cells_are_closed_orbits_of_their_lanes(plane: xr.Dataset, cells: list[Cell]) -> None:
     sweep = read_sweep(PLANE)
     assert [cell.lane for cell in cells] == list(range(sweep.lanes))
-    orbits = 0
-    regimes = plane["regime"].transpose(*sweep.dims).values.ravel()
-    for lane, cell in enumerate(cells):
-        if cell.kind != "orbit":
-            continue
-        orbits += 1
-        run = run_of(lane)
-        sections = run["event_time"].values[run["event_kind"].values == EVENTS.index("section")]
-        assert cell.duration == pytest.approx(sections[-1] - sections[-1 - cell.returns], rel=1e-4)
-        begin = min(
-            sections[-1 - cell.returns : -1], key=lambda t: abs(_interpolate(run, "x2", t) - cell.states["x2"][0])
-        )
-        for name, values in cell.states.items():
-            swing = np.ptp(values)
-            # The run has one sample per millisecond: at an impact, a velocity reverses between two samples.
-            mask = np.full(len(cell.time), name.startswith("x")) | (cell.flags & 7 == 0)
-            difference = np.abs(_interpolate(run, name, begin + cell.time - 1e-9) - values)[mask]
-            assert np.quantile(difference, 0.95) < 2e-3 * swing, (lane, name)
-            assert abs(values[-1] - values[0]) < 1e-3 * swing
-        impacts = int((cell.flags & 7 == EVENTS.index("impact")).sum())
-        assert impacts == float(plane["impacts"].transpose(*sweep.dims).values.ravel()[lane])
+    features = {name: plane[name].transpose(*sweep.dims).values.ravel() for name in ("period", "cycles", "impacts")}
+    orbits = [cell for cell in cells if cell.kind == "orbit"]
+    assert len(orbits) >= 4
+    for cell in orbits:
+        period, cycles, impacts = (values[cell.lane] for values in features.values())
+        assert cell.returns == cycles and cell.duration == pytest.approx(cycles * period, rel=1e-4)
+        assert (cell.flags & 7 == EVENTS.index("impact")).sum() == impacts
+        assert all(abs(values[-1] - values[0]) < 1e-3 * np.ptp(values) for values in cell.states.values())
         assert cell.multipliers is not None and cell.multipliers[0, 0] < 1.0
-    assert orbits >= 4
-    assert (regimes == 3).sum() >= 2
-
-
-def _interpolate(run: xr.Dataset, name: str, times: np.ndarray) -> np.ndarray:
-    length = float(run["time"][-1])
-    return np.interp(np.minimum(times, length), run["time"].values, run[name].values)
 
 
 def test_sticking_bit_moves_back_with_drive(cells: list[Cell]) -> None:
@@ -147,18 +116,14 @@ def test_sticking_bit_moves_back_with_drive(cells: list[Cell]) -> None:
     assert events["stick"] >= 1 and events["slip"] >= 4
 
 
-def test_trajectory_ends_like_its_lane(cells: list[Cell]) -> None:
-    lane = next(cell.lane for cell in cells if cell.kind == "orbit" and cell.returns == 1)
-    cell, lane_cell = cell_of(run_of(lane)), cells[lane]
-    assert (cell.kind, cell.returns) == ("orbit", 1)
-    assert cell.duration == pytest.approx(lane_cell.duration, rel=1e-5)
-    for name in ("x1", "x2"):
-        ends = [(np.min(motion.states[name]), np.max(motion.states[name])) for motion in (cell, lane_cell)]
-        np.testing.assert_allclose(ends[0], ends[1], atol=3e-3 * np.ptp(ends[1]))
-    assert cell.numbers is not None and cell.numbers["regime"] == 3
-
-
 # Documents.
+
+
+def test_page_of_default_map_is_under_ten_megabytes(plane: xr.Dataset, cells: list[Cell]) -> None:
+    """Extrapolate the size from eight lanes."""
+    document, size = contents_of(plane).document, sum(map(len, blocks_of(cells)))
+    size += sum(len(entry["data"]["data"]) for entry in document["variables"])
+    assert size / len(cells) > 300 and 8280 * size / len(cells) + len(page_text(document)) < 10e6
 
 
 def test_document_holds_numbers_of_dataset(plane: xr.Dataset) -> None:
@@ -217,26 +182,13 @@ def test_every_kind_of_special_point_has_a_shape() -> None:
 # The page.
 
 
-def test_page_of_default_map_is_under_ten_megabytes() -> None:
-    """Extrapolate the size from a coarser grid over the same plane."""
-    plane = {"beta": {"start": 0.1, "stop": 1.2, "num": 5}, "gamma": {"start": 0.3, "stop": 1.2, "num": 6}}
-    grid = plane | {"delta": [-0.005, 0.005]}
-    ds = vj.run_sweep({**PLANE, "grid": grid}, progress=False)
-    contents = contents_of(ds, progress=False)
-    blocks, document = blocks_of(contents.cells), contents.document
-    text = page_text(document, blocks)
-    bytes_per_lane = (sum(map(len, blocks)) + sum(len(entry["data"]["data"]) for entry in document["variables"])) / ds[
-        "regime"
-    ].size
-    assert 8280 * bytes_per_lane + len(text) < 10e6
-    assert bytes_per_lane > 300  # the page is not empty
-
-
 def test_page_loads_nothing_and_text_cannot_end_its_script(plane: xr.Dataset, tmp_path: Path) -> None:
     named = plane.assign_attrs(title="</script><script>alert(1)</script>")
     path = write_page(named, tmp_path / "page.html", progress=False)
     text = path.read_text(encoding="utf-8")
     assert "@" not in re.sub(r"@(media|supports|container)", "", text.split("<body>")[0])
+    policy = text.partition('http-equiv="Content-Security-Policy"')[2].partition(">")[0]
+    assert "default-src 'none'" in policy and "connect-src 'none'" in policy and "unsafe" not in policy
     assert text.count("</script>") == 3 and "alert(1)</script>" not in text
     assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!data:)""", text)
     assert not re.findall(r"\b(?:fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon|import)\s*\(", text)
@@ -298,15 +250,15 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     document = figure_document([sheet], ds, axes)
     first, second = document["plots"]
     line, marks, points, area, upright, bar, text = (
-        next(item for item in first["items"] if item["kind"] == kind and test(item))
-        for kind, test in (
-            ("line", lambda item: item["colour"] == "#112233"),
-            ("points", lambda item: item["shape"] == "s"),
-            ("points", lambda item: item["shape"] == "o"),
-            ("area", lambda item: item["alpha"] == 0.5),
-            ("line", lambda item: item["colour"] == "#123456"),
-            ("area", lambda item: item["colour"] == "#00aa00"),
-            ("text", lambda item: True),
+        next(item for item in first["items"] if item["kind"] == kind and item.get(key) == value)
+        for kind, key, value in (
+            ("line", "colour", "#112233"),
+            ("points", "shape", "s"),
+            ("points", "shape", "o"),
+            ("area", "alpha", 0.5),
+            ("line", "colour", "#123456"),
+            ("area", "colour", "#00aa00"),
+            ("text", "text", "in the middle"),
         )
     )
     assert line["x"] == marks["x"] == x.tolist() and line["y"] == (2 * x).tolist() and line["dash"]

@@ -3,10 +3,7 @@
 import ast
 import json
 import shlex
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -20,34 +17,10 @@ import vibrojax as vj
 from vibrojax.explorer import contents_of, page_text
 from vibrojax.explorer.document import run_document
 from vibrojax.explorer.write import content_policy
-from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.scenes.vibro_impact import VibroImpact
 
-NAMES = (
-    "__proto__",
-    "constructor",
-    "toString",
-    "v\nx",
-    "v x",
-    "v=1",
-    CODE,
-    "vе",
-    "v\u202e",
-    "v;x",
-    "$(x)",
-    "'",
-    '"',
-    "`",
-)
-WORDS = (
-    "$(touch hacked)",
-    "`touch hacked`",
-    "'; touch hacked; '",
-    '"), __import__("os"), ("',
-    "stuck\nx",
-    "ѕtuck",
-    MARKUP,
-)
+NAMES = ("__proto__", "toString", "v\nx", "v=1", CODE, "vе", "v\u202e", "$(x)", "'", '"')
+WORDS = ("$(touch hacked)", "'; touch hacked; '", '"), __import__("os"), ("', "stuck\nx", "ѕtuck", MARKUP)
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +29,12 @@ def browser() -> Iterator[Any]:
         yield instance
 
 
-def open_page(browser: Any, text: str, folder: Path, fragment: str = "", width: int = 1280) -> tuple[Any, Any, Any]:
+def open_page(browser: Any, text: str, folder: Path, width: int = 1280) -> tuple[Any, Any, Any]:
     """Return the page of this text in the browser, its console messages and its requests."""
     path = folder / "page.html"
     path.write_text(text, encoding="utf-8")
     page, messages, requests = new_page(browser, viewport={"width": width, "height": 900})
-    page.goto(path.as_uri() + fragment)
+    page.goto(path.as_uri())
     page.wait_for_selector("[data-ready]")
     return page, messages, requests
 
@@ -117,27 +90,6 @@ def test_calls_of_hostile_documents_are_plain(browser: Any, tmp_path: Path) -> N
     assert not messages
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_run_holds_only_names_of_the_scene(name: str) -> None:
-    about = [{"name": name, "symbol": "", "units": "1", "value": 1.0, "default": 0.0}]
-    ds = small_map().assign_attrs(differing=json.dumps(about))
-    try:
-        parameters = run_document(ds)["parameters"]
-    except vj.InputError as error:
-        assert "attribute differing[0]: name" in str(error)
-    else:
-        assert parameters == {}
-
-
-@pytest.mark.parametrize("word", WORDS)
-def test_run_holds_only_words_of_the_scene(word: str) -> None:
-    assert run_document(small_map().assign_attrs(start=word))["start"] is None
-    assert run_document(small_map().assign_attrs(friction=word)) == {"own_scene": True}
-    assert run_document(small_map().assign_attrs(scene=word)) == {"own_scene": True}
-    vector = run_document(small_map().assign_attrs(start="[0.0, -1.5, 0.0, 0.0]"))["start"]
-    assert vector == (0.0, -1.5, 0.0, 0.0)
-
-
 def hostile_map() -> xr.Dataset:
     """Return a map whose texts are markup, including those of the starts."""
     ds = each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(small_map())
@@ -149,8 +101,23 @@ def hostile_map() -> xr.Dataset:
     return ds
 
 
-@pytest.mark.parametrize("width", [1280, 390])
-def test_hostile_dataset_runs_no_code(browser: Any, tmp_path: Path, width: int) -> None:
+def test_run_holds_only_names_and_words_of_the_scene() -> None:
+    for name in NAMES:
+        about = [{"name": name, "symbol": "", "units": "1", "value": 1.0, "default": 0.0}]
+        try:
+            assert run_document(small_map().assign_attrs(differing=json.dumps(about)))["parameters"] == {}
+        except vj.InputError as error:
+            assert "attribute differing[0]: name" in str(error)
+    for word in WORDS:
+        assert run_document(small_map().assign_attrs(start=word))["start"] is None
+        assert run_document(small_map().assign_attrs(friction=word)) == {"own_scene": True}
+        assert run_document(small_map().assign_attrs(scene=word)) == {"own_scene": True}
+    vector = run_document(small_map().assign_attrs(start="[0.0, -1.5, 0.0, 0.0]"))["start"]
+    assert vector == (0.0, -1.5, 0.0, 0.0)
+
+
+def test_hostile_dataset_runs_no_code(browser: Any, tmp_path: Path) -> None:
+    width = 390
     text = page_text(contents_of(hostile_map()).document)
     assert len(text) < 500_000
     page, messages, requests = open_page(browser, text, tmp_path, width=width)
@@ -171,8 +138,9 @@ def test_page_policy_blocks_injected_code(browser: Any, tmp_path: Path) -> None:
     policy = page.locator("meta[http-equiv]").get_attribute("content")
     assert "unsafe" not in policy and "default-src 'none'" in policy and "connect-src 'none'" in policy
     assert not messages
-    with counting_server() as (address, hits):
-        page.evaluate(ATTEMPTS, address)
+    hits: list[str] = []
+    page.route("**/*", lambda route: (hits.append(route.request.url), route.abort()))  # sees what the policy lets pass
+    page.evaluate(ATTEMPTS, "http://127.0.0.1:1")
     assert page.evaluate("window.hacked") is None
     assert hits == []
     assert len([text for text in wrong(messages) if "Content Security Policy" in text or "violates" in text]) >= 6
@@ -194,59 +162,7 @@ ATTEMPTS = """async (address) => {
 """Script that tries each way in which injected code could run, load or send."""
 
 
-@contextmanager
-def counting_server() -> Iterator[tuple[str, list[str]]]:
-    """Serve on this machine; yield the address and the paths of the requests."""
-    hits: list[str] = []
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            hits.append(self.path)
-            self.send_response(204)
-            self.end_headers()
-
-        do_POST = do_GET
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        yield f"http://127.0.0.1:{server.server_address[1]}", hits
-        server.shutdown()
-        thread.join()
-
-
 def test_policy_allows_only_content_of_the_page() -> None:
     policy = content_policy(["a()"], [])
     assert "script-src 'sha256-" in policy and "style-src 'none'" in policy and "connect-src 'none'" in policy
     assert "connect-src 'self'" in content_policy([], [], asks=True) and "unsafe" not in policy
-
-
-def curves_over(change: dict[str, Any]) -> xr.Dataset:
-    """Return two curves over the small map, with changed variables."""
-    kinds = {"flag_meanings": " ".join(SPECIAL_KINDS), "flag_values": range(len(SPECIAL_KINDS))}
-    about = {"kind": "curves", "source": "vibrojax 0", "scene": "vibro-impact", "axes": ["gamma", "beta"]}
-    about |= {name: small_map().attrs[name] for name in ("friction",) if name in small_map().attrs}
-    variables: dict[str, Any] = {
-        "point_curve": ("point", [0, 0, 1, 1]),
-        "gamma": ("point", [0.66, 0.7, 0.7, 0.79]),
-        "beta": ("point", [0.3, 0.35, 0.35, 0.3]),
-        "period": ("point", [1.0] * 4),
-        "cycles": ("point", [1] * 4),
-        "multiplier_abs": (("point", "multiplier"), [[1.0]] * 4),
-        "kind": ("curve", [0, 3], kinds),
-        "special": ("curve", [0, 1]),
-        "curve_note": ("curve", [MARKUP, MARKUP]),
-        "codim2_kind": ("codim2", [MARKUP]),
-        "codim2_curve": ("codim2", [0]),
-        "codim2_gamma": ("codim2", [0.7]),
-        "codim2_beta": ("codim2", [0.35]),
-    }
-    return xr.Dataset(variables | change, attrs=about)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"), [({"gamma": ("point", [0.66, float("nan"), 0.7, 0.79])}, "variable gamma is not finite")]
-)
-def test_hostile_curves_are_refused(change: dict[str, Any], says: str) -> None:
-    with pytest.raises(vj.InputError, match=says):
-        contents_of(small_map(), curves_over(change))

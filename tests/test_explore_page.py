@@ -98,7 +98,7 @@ def test_no_request_and_nothing_on_the_console(browser: Any, files: dict[str, Pa
 def test_numbers_of_cells_match_dataset(browser: Any, files: dict[str, Path], many: xr.Dataset) -> None:
     random = np.random.default_rng(0)
     dims = ("beta", "gamma", "delta", "start")
-    picked = [{name: int(random.integers(many.sizes[name])) for name in dims} for _ in range(300)]
+    picked = [{name: int(random.integers(many.sizes[name])) for name in dims} for _ in range(100)]
     rows = """cells => cells.map(cell => {
         vibrojax.cell = cell;
         return [...vibrojax.numbers(null).querySelectorAll("td")].map(td => [td.dataset.name, td.textContent]);
@@ -125,7 +125,7 @@ def test_numbers_of_cells_match_dataset(browser: Any, files: dict[str, Path], ma
                 rel = 0.06 if text[0] == "≈" else 5e-4
                 assert number == pytest.approx(value * factors[name], rel=rel, abs=1e-300), (name, cell)
                 compared += 1
-    assert compared > 3_000
+    assert compared > 1_000
 
 
 def test_click_selects_cell_and_hovering_shows_its_value(
@@ -147,40 +147,6 @@ def test_click_selects_cell_and_hovering_shows_its_value(
         figure = opened.page.locator("[data-slice='1']")
         figure.click(position={"x": figure.bounding_box()["width"] - 14, "y": 40})
         assert opened.cell["beta"] == 16
-
-
-def _saved(opened: OpenPage, figure: str, kind: str) -> tuple[str, str]:
-    """Return the name and the content of a file of a plot."""
-    plot = opened.page.locator(figure).first
-    plot.locator("summary").first.click()
-    with opened.page.expect_download() as saved:
-        plot.locator(".vx-menu button", has_text=kind).click()
-    opened.page.keyboard.press("Escape")
-    return saved.value.suggested_filename, Path(saved.value.path()).read_text()
-
-
-def test_files_say_what_they_show(browser: Any, files: dict[str, Path]) -> None:
-    """A map has its colour bar with arrows, slice and filter; a history its time axis, legend and cell."""
-    fragment = "#variable=impact_velocity&at.delta=-0.005&at.start=0"
-    with OpenPage(browser, files["many"], fragment) as opened:
-        name, content = _saved(opened, ".vx-map", "SVG")
-        assert name == "impact_velocity_delta=-5mm_start=drive.svg"
-        opened.page.locator("[data-control='at-delta']").select_option("1")
-        opened.page.locator("[data-control='only']").select_option(index=1)
-        filtered, text = _saved(opened, ".vx-map", "SVG")
-        assert filtered.startswith("impact_velocity_delta=5mm_start=drive_") and "shown: " in text
-        texts = [str(one.text) for one in fromstring(content).iter("{http://www.w3.org/2000/svg}text")]
-        assert {"impact velocity [m/s]", "source's best region"} <= set(texts) and any(
-            "Δ\u00a0=\u00a0−5 mm" in one for one in texts
-        )
-        extend = opened.evaluate("vibrojax.variable.extend")
-        assert (extend != "neither") == bool(re.search(r'<path d="M[^"]*L[^"]*L[^"]*Z" fill="#', content))
-    with OpenPage(browser, files["few"]) as opened:
-        opened.evaluate("vibrojax.pick({beta: 1, gamma: 1, start: 1})")
-        opened.settled()
-        name, content = _saved(opened, ".vx-panel.vx-wide", "SVG")
-        assert "beta=0.4_gamma=0.7_start=stuck" in name
-        assert {"time [s]", "bit", "striker", "impact"} <= set(re.findall(r">([^<>]+)</text>", content))
 
 
 def test_plots_are_read_and_their_zoom_is_in_the_link(browser: Any, files: dict[str, Path]) -> None:
@@ -283,15 +249,6 @@ def test_command_of_cell_simulates_it(browser: Any, files: dict[str, Path]) -> N
     assert float(motion["period"]) == pytest.approx(period, rel=1e-4)
 
 
-def test_page_is_readable_at_390_pixels(browser: Any, files: dict[str, Path]) -> None:
-    with OpenPage(browser, files["few"], width=390) as opened:
-        assert opened.evaluate("document.scrollingElement.scrollWidth") <= 390
-        order = opened.evaluate(
-            "['.vx-left', '.vx-side', '.vx-table'].map(s => document.querySelector(s).getBoundingClientRect().top)"
-        )
-        assert order == sorted(order)
-
-
 SMALL_TARGETS = """() => [...document.querySelectorAll(".vibrojax :is(button, select, summary, input, .vx-why)")]
     .map(one => one.type === "checkbox" ? one.closest("label") : one)
     .filter(one => one.checkVisibility() && Math.min(one.offsetWidth, one.offsetHeight) < 40)
@@ -374,15 +331,16 @@ def test_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[st
         # All coordinates stand in the file; its name says the variable and the start.
         assert lines[0] == "beta,gamma,start,regime" and len(lines) == 10
         assert saved.value.suggested_filename == "regime_start=stuck.csv"
-        for kind, begins in (("SVG", b"<svg"), ("PNG", b"\x89PNG")):
+        contents = {}
+        for kind in ("SVG", "PNG"):
             with page.expect_download() as saved:
                 page.locator(".vx-map .vx-menu button", has_text=kind).click()
-            content = Path(saved.value.path()).read_bytes()
-            assert content.startswith(begins)
-            if kind == "SVG":
-                texts = [element.text for element in fromstring(content).iter("{http://www.w3.org/2000/svg}text")]
-                assert any("ω₂/ω₁" in str(text) for text in texts) and "single-impact" in " ".join(map(str, texts))
-                assert any("start\u00a0stuck" in str(text) or "start stuck" in str(text) for text in texts)
+            contents[kind] = Path(saved.value.path()).read_bytes()
+        assert contents["SVG"].startswith(b"<svg") and contents["PNG"].startswith(b"\x89PNG")
+        texts = [str(text.text) for text in fromstring(contents["SVG"]).iter("{http://www.w3.org/2000/svg}text")]
+        for word in ("ω₂/ω₁", "single-impact", "source's best region"):
+            assert word in " ".join(texts), texts
+        assert "start stuck" in " ".join(texts).replace("\u00a0", " "), texts
         with page.expect_download() as saved:
             page.get_by_role("button", name="JSON").click()
         cell = json.loads(Path(saved.value.path()).read_text())

@@ -1,13 +1,9 @@
 """Tests of `vibrojax explore OUT.nc --live`: its output, how it ends, and the page in a browser."""
 
-import json
 import os
 import re
-import shutil
 import signal
 import socket
-import subprocess
-import time
 import urllib.request
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +12,7 @@ from urllib.request import url2pathname
 
 import pytest
 from browser import chromium, new_page, wrong
-from commands import ROOT, start
+from commands import end_of, start, wait_for
 from small_map import small_map
 
 import vibrojax as vj
@@ -36,39 +32,6 @@ def file(dataset, tmp_path_factory):
     return path
 
 
-@contextmanager
-def running_command(*arguments, **more):
-    """Run the command; its output stays in its pipes."""
-    process = start(*arguments, **more)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-def assert_ends(process, url, sent, file):
-    """Check that the command serves a page at `url`, until a signal ends it with one line."""
-    port = int(re.fullmatch(r"http://127\.0\.0\.1:(\d+)/[\w-]{43,}/", url)[1])
-    assert "<title>" in urllib.request.urlopen(url, timeout=100).read().decode()
-    process.send_signal(sent)
-    out, err = process.communicate(timeout=200)
-    status, word = {signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "term")}[sent]
-    assert process.returncode == status and out == ""
-    last = err.splitlines()[-1]
-    assert last.startswith(f"vibrojax: {word}") and last.endswith(f"explore {file} --live") and "Traceback" not in err
-    with pytest.raises(OSError):
-        socket.create_connection(("127.0.0.1", port), 1).close()
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_command_serves_until_interrupted(file, sent):
-    with running_command("explore", file, "--live", "--no-browser") as process:
-        assert_ends(process, process.stdout.readline().strip(), sent, file)
-
-
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -84,46 +47,51 @@ def test_contradictory_options_are_refused(file, capsys, words, line):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes of files and signals")
-def test_browser_arguments_hold_no_token(file, tmp_path):
+def test_command_serves_until_interrupted_and_browser_arguments_hold_no_token(file, tmp_path):
     """All users see the arguments of a browser. A private file, which is deleted at the end, leads it to the page."""
     browser, seen, folder = tmp_path / "browser", tmp_path / "seen", tmp_path / "temporary"
     browser.write_text(f'#!/bin/sh\nprintf "%s" "$*" > {seen}.part\nmv {seen}.part {seen}\n')
     browser.chmod(0o700)
     folder.mkdir()
     environment = {"BROWSER": f"{browser} %s", "DISPLAY": ":0", "TMPDIR": str(folder)}
-    with running_command("explore", file, "--live", environment=environment) as process:
+    process = start("explore", file, "--live", environment=environment)
+    try:
         url = process.stdout.readline().strip()
-        for _ in range(600):
-            if seen.exists():
-                break
-            time.sleep(0.1)
+        wait_for(seen.exists, process)
         redirect = Path(url2pathname(urlparse(seen.read_text()).path))
         assert urlparse(url).path.strip("/") not in seen.read_text() and redirect.is_relative_to(folder)
         assert [path.stat().st_mode & 0o777 for path in (redirect, redirect.parent)] == [0o600, 0o700]
-        [target] = re.findall(r'content="0; url=([^"]*)"', redirect.read_text())
-        assert target == url
-        assert_ends(process, url, signal.SIGINT, file)
+        assert re.findall(r'content="0; url=([^"]*)"', redirect.read_text()) == [url]
+        assert "<title>" in urllib.request.urlopen(url, timeout=100).read().decode()
+        process.send_signal(signal.SIGINT)
+        status, errors = end_of(process)
+    finally:
+        process.kill()
+    last = errors.splitlines()[-1]
+    assert status == 130 and "Traceback" not in errors
+    assert last.startswith("vibrojax: interrupted") and last.endswith(f"explore {file} --live")
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.1", urlparse(url).port), 1).close()
     assert not redirect.parent.exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"), [(["rotary", "v=-1"], "v: is -1"), (["rotry"], 'did you mean "rotary"?')]
-)
-def test_wrong_scenes_are_refused(words, message, capsys):
-    assert main(["explore", *words, "--live"]) == 2 and message in capsys.readouterr().err
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as instance:
+        yield instance
 
 
 @contextmanager
-def browser_page(live, width=1280, height=900):
-    """Open the page in Chromium; check that its console has no error and that it requests nothing from elsewhere."""
-    with chromium() as browser:
-        page, messages, requests = new_page(browser, viewport={"width": width, "height": height})
-        page.goto(live.url)
-        page.wait_for_selector("[data-ready]")
-        yield page
+def browser_page(browser, url):
+    """Open a page; check that its console has no error and that it requests nothing from elsewhere."""
+    page, messages, requests = new_page(browser, viewport={"width": 1280, "height": 900})
+    page.goto(url)
+    page.wait_for_selector("[data-ready]")
+    yield page
+    page.context.close()
     # A browser logs refused values as errors, whatever the page does with the answer.
     assert not [line for line in wrong(messages) if "400 (Bad Request)" not in line]
-    assert all(url.startswith((live.url, "data:")) for url in requests)
+    assert all(request.startswith((url, "data:")) for request in requests)
 
 
 PICTURE = "() => document.querySelector('.vx-panels canvas[role=img]').toDataURL()"
@@ -134,9 +102,9 @@ def numbers(page):
     return {name: float(value) for name, value in cells if value not in ("", "NaN")}
 
 
-def test_dragging_slider_changes_motion(dataset):
+def test_dragging_slider_changes_motion(dataset, browser):
     """The phase plane changes; the numbers and the command line to copy are those of `simulate`."""
-    with serve(dataset) as live, browser_page(live) as page:
+    with serve(dataset) as live, browser_page(browser, live.url) as page:
         before = page.evaluate(PICTURE)
         slider = page.locator("input[data-parameter=delta]")
         box = slider.bounding_box()
@@ -163,10 +131,9 @@ def test_dragging_slider_changes_motion(dataset):
         assert page.locator("input[name=delta]").input_value() == "-5"
 
 
-def test_stopped_server_is_reported():
+def test_stopped_server_is_reported(dataset, browser):
     """A line beside the sliders reports it, and the page keeps what it shows."""
-    motion = vj.simulate("rotary", duration=2.0, progress=False)
-    with serve(motion) as live, chromium() as browser:
+    with serve(dataset) as live:
         page, _, _ = new_page(browser)
         page.goto(live.url)
         page.wait_for_selector("[data-ready]")
@@ -175,52 +142,16 @@ def test_stopped_server_is_reported():
         page.locator(".vx-wrong", has_text="the server does not answer; it may have been stopped").wait_for()
 
 
-def run_module(script):
-    """Return what a script prints that imports modules of the page."""
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("no node here")
-    call = [node, "--input-type=module", "-e", script]
-    page = ROOT / "vibrojax" / "explorer" / "page"
-    process = subprocess.run(call, capture_output=True, text=True, cwd=page, timeout=300)
-    assert process.returncode == 0, process.stderr
-    return json.loads(process.stdout)
-
-
-def test_text_of_motion_agrees_with_label():
-    """A motion that is simulated anew may be another one; the text never contradicts the label."""
-    script = """
-      import { described } from "./cell.js";
-      const cell = { duration: 1, flags: [], note: "" };
-      const text = (kind, returns, ...labelled) => described({ ...cell, kind, returns }, ...labelled);
-      console.log(JSON.stringify([text("orbit", 1), text("orbit", 1, 1), text("motion", 5), text("motion", 5, 0),
-        text("motion", 5, 1), text("orbit", 1, 2), text("orbit", 2, 0), text("orbit", 2, null),
-        text("motion", 5, null)]));
-    """
-    texts = run_module(script)
-    assert texts[:4] == ["repeats after 1 return, 1 s"] * 2 + ["does not repeat; 5 returns are shown, 1 s"] * 2
-    another = "simulated anew it ends in another motion"
-    assert texts[4:7] == [
-        f"repeats after 1 return; {another}: 5 returns are shown, 1 s",
-        f"repeats after 2 returns; {another}: 1 return are shown, 1 s",
-        f"does not repeat; {another}: 2 returns are shown, 1 s",
-    ]
-    assert texts[7:] == ["2 returns are shown, 1 s", "5 returns are shown, 1 s"]
-
-
-def test_badge_and_text_of_cell_agree(dataset, tmp_path):
+def test_badge_and_text_of_cell_agree(dataset, tmp_path, browser):
     """Badge and text follow the dataset, also where the motion that is simulated for the page does not."""
     changed = dataset.copy(deep=True)
     for name, value in (("regime", 6), ("cycles", 0)):
         changed[name][...] = value
     path = vj.write_page(changed, tmp_path / "page.html", progress=False)
-    with serve(changed) as live, chromium() as browser:
+    with serve(changed) as live:
         for url in (live.url, path.as_uri()):
-            page, messages, _ = new_page(browser)
-            page.goto(url)
-            page.wait_for_selector("[data-ready]")
-            text = page.locator(".vx-motion", has_text="does not repeat;").first
-            text.wait_for()
-            assert page.locator(".vx-badge").inner_text() == "irregular"
-            assert text.inner_text().startswith("does not repeat; simulated anew it ends in another motion")
-            assert not wrong(messages)
+            with browser_page(browser, url) as page:
+                text = page.locator(".vx-motion", has_text="does not repeat;").first
+                text.wait_for()
+                assert page.locator(".vx-badge").inner_text() == "irregular"
+                assert text.inner_text().startswith("does not repeat; simulated anew it ends in another motion")

@@ -51,21 +51,15 @@ def test_python_selects_nearest_cell(widget):
     assert widget.point == {"beta": 0.4, "gamma": 0.65, "start": "stuck"}
 
 
-@pytest.mark.parametrize(
-    ("point", "line"),
-    [
-        ({"bta": 0.3}, 'explore: point.bta: the map has no such axis; did you mean "beta"?'),
-        ({"start": "nowhere"}, 'explore: point.start: "nowhere" is not one of its values; choose from drive, stuck'),
-    ],
-)
-def test_wrong_points_are_refused(widget, point, line):
+def test_wrong_points_are_refused(widget):
     before = widget.point
-    with pytest.raises(InputError) as error:
-        widget.point = point
-    assert str(error.value) == line
-    assert widget.point == before
+    with pytest.raises(InputError, match=r'explore: point\.bta: the map has no such axis; did you mean "beta"\?'):
+        widget.point = {"bta": 0.3}
+    with pytest.raises(InputError, match=r'point\.start: "nowhere" is not one of its values; choose from drive, stuck'):
+        widget.point = {"start": "nowhere"}
     with pytest.raises(InputError, match="a cell has an index for each of beta, gamma, start"):
         widget.cell = {"nowhere": 1}
+    assert widget.point == before
 
 
 def test_kernel_computes_requested_motions(widget, sent, dataset):
@@ -86,22 +80,6 @@ def test_failed_computations_are_reported(widget, sent):
     for nonsense in ({}, {"parameters": {}}, "x", None, 3):
         widget._handle_custom_msg(nonsense, [])
     assert len(sent) == 1
-
-
-def test_widget_without_kernel_holds_motions(dataset):
-    static = vj.explore(dataset, live=False)
-    assert static.offered is None and static.document["cells"] == {"size": 256, "blocks": 1} and len(static.blocks) == 1
-
-
-def test_part_of_sweep(dataset):
-    """Its lanes are those of its coordinates."""
-    part = dataset.isel(beta=[0, 2], start=0)
-    widget = vj.explore(part)
-    assert widget.blocks == [] and widget.document["lanes"]["shape"] == [2, 4] and widget.offered["lanes"] == 8
-    values, _ = widget.motions.sweep.lane_values(4, 5)
-    assert (values["beta"].item(), values["gamma"].item()) == (part.beta.values[1], part.gamma.values[0])
-    widget.point = {"beta": 0.4}
-    assert widget.lane.identical(part.isel(beta=1, gamma=widget.cell["gamma"]))
 
 
 def test_trajectory_and_plane_of_starts():

@@ -13,9 +13,7 @@ from vibrojax.studies.trajectory import feature_lines
 
 STRONG = {"threshold": 30e3, "delta": 0.002}
 POINTS = {
-    "rotary": ({}, 9.0),
     "vibro-impact": ({"delta": 0.002, "gamma": 0.5, "beta": 0.9}, 12.0),
-    "drilling": (STRONG, 5.0),
     "coupled-drilling": (STRONG, 5.0),
     "penetration": ({"force": 300e3}, 1.0),
 }
@@ -95,11 +93,7 @@ def test_frequencies_are_outputs():
         {"rpm": ("rpm", [100.0, 110.0, 120.0])},
         {"sweep": 'scene = "vibro-impact"\n[parameters]\nbit_radius = 0.1\n'},
     )
-    outputs = vj.frequencies(ds)
-    np.testing.assert_allclose(outputs["blow_frequency"], [450.0, 120.0, 0.0])
-    assert set(outputs) == {"blow_frequency", "rpm"} and outputs["rpm"].values.tolist() == [100.0, 110.0, 120.0]
-    fixed = {"parameters": json.dumps({"v": 2 * np.pi / 60 * 120 * 0.1}), "sweep": ds.sweep + "rpm = 120\n"}
-    assert float(vj.frequencies(xr.Dataset(attrs=fixed))["rpm"]) == pytest.approx(120.0)
+    np.testing.assert_allclose(vj.frequencies(ds)["blow_frequency"], [450.0, 120.0, 0.0])
     part = frequency_part(ds)
     assert part.lines == ["blows 0 to 450 1/min, rotation 100 to 120 1/min"]
     assert part.facts["frequencies"]["rpm"] == {"least": 100.0, "greatest": 120.0, "units": "min-1"}

@@ -6,7 +6,6 @@ import pytest
 import vibrojax as vj
 from vibrojax.errors import counted
 from vibrojax.measures.labels import COMPARED, SAME_WITHIN, SINGLE_IMPACT, hides_another
-from vibrojax.studies.choose import picture
 from vibrojax.studies.summary import summarise, summary_lines
 
 STARTS = ["drive", "stuck", "touching"]
@@ -61,15 +60,3 @@ def test_three_starts_have_one_label(swept):
     assert f"at {counted(points, 'point')} starts end in different motions under one label" in "\n".join(
         summary_lines(summarise(swept))
     )
-
-
-def test_map_marks_hidden_motions(swept):
-    figure = picture(swept)
-    panels = [axes for axes in figure.axes if axes.get_title().startswith("start:")]
-    for axes, start in zip(panels, STARTS, strict=True):
-        marks = next(line for line in axes.lines if line.get_marker() == "o")
-        beta, gamma = np.nonzero(swept.hidden_motion.sel(start=start).values)
-        expected = sorted(zip(swept.gamma.values[gamma], swept.beta.values[beta], strict=True))
-        assert sorted(map(tuple, marks.get_xydata().tolist())) == expected
-    labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert "same label, other motion\nfrom another start" in labels

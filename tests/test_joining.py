@@ -26,6 +26,30 @@ SWEEP = {
 }
 
 
+JOIN_SCRIPT = """
+import resource, sys, time
+from pathlib import Path
+import numpy as np
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.dataset import join
+from vibrojax.maps.executor import compute
+from vibrojax.io.writers import file_target
+from vibrojax.periodic.lane_stages import lane_run
+sweep = read_sweep({"scene": "rotary", "starts": ["stuck"], "run": {"settle": 0.1, "observe": 0.1},
+                    "grid": {"v": {"start": 0.5, "stop": 2.0, "num": int(sys.argv[2])}, "k1": {"start": 1e5, "stop": 2e5, "num": 1000}}})
+run = lane_run(sweep.inputs(0, 1), sweep.plan)
+_, one = next(compute(sweep, run, [0]))
+noise = np.random.default_rng(0).random(len(one["period"]))
+one = {name: x + noise if x.dtype == float and x.ndim == 1 and name in ("bit_amplitude", "drive_power") else x for name, x in one.items()}
+def read(index):
+    first, end = sweep.chunk(index)
+    return {name: x[:end - first] if x.ndim else x for name, x in one.items()}
+with file_target(Path(sys.argv[1])) as target:
+    join(sweep, run, read, target, time.monotonic())
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""  # noqa: E501
+
+
 @settings(deadline=None)
 @given(st.lists(st.integers(1, 6), min_size=1, max_size=4), st.integers(1, 90))
 def test_regions_are_consecutive_whole_chunks(shape, limit):
@@ -59,30 +83,6 @@ def test_points_keep_their_parameters_as_coordinates(tmp_path):
     ds = run_to_file(sweep, tmp_path / "out.nc", progress=False)
     assert set(ds.coords) == {"point", "beta", "gamma", "start"}
     xr.testing.assert_identical(ds.drop_attrs(), run_sweep(sweep, progress=False).drop_attrs())
-
-
-JOIN_SCRIPT = """
-import resource, sys, time
-from pathlib import Path
-import numpy as np
-from vibrojax.maps.read import read_sweep
-from vibrojax.maps.dataset import join
-from vibrojax.maps.executor import compute
-from vibrojax.io.writers import file_target
-from vibrojax.periodic.lane_stages import lane_run
-sweep = read_sweep({"scene": "rotary", "starts": ["stuck"], "run": {"settle": 0.1, "observe": 0.1},
-                    "grid": {"v": {"start": 0.5, "stop": 2.0, "num": int(sys.argv[2])}, "k1": {"start": 1e5, "stop": 2e5, "num": 1000}}})
-run = lane_run(sweep.inputs(0, 1), sweep.plan)
-_, one = next(compute(sweep, run, [0]))
-noise = np.random.default_rng(0).random(len(one["period"]))
-one = {name: x + noise if x.dtype == float and x.ndim == 1 and name in ("bit_amplitude", "drive_power") else x for name, x in one.items()}
-def read(index):
-    first, end = sweep.chunk(index)
-    return {name: x[:end - first] if x.ndim else x for name, x in one.items()}
-with file_target(Path(sys.argv[1])) as target:
-    join(sweep, run, read, target, time.monotonic())
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-"""  # noqa: E501
 
 
 @pytest.mark.long

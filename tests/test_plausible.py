@@ -9,8 +9,6 @@ from vibrojax.errors import Place
 from vibrojax.maps.read import read_point
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.scenes import SCENES
-from vibrojax.studies.design_requirements import read_design
-from vibrojax.studies.effects import read_study
 
 
 def warning_text(scene, **parameters):
@@ -63,21 +61,3 @@ def test_sweep_warns_once_per_axis_unless_marked_unusual():
         vj.read_sweep(sweep, ["unusual=true"])
     with pytest.raises(vj.InputError, match="sweep: unusual: 1 is neither true nor false"):
         vj.read_sweep(sweep | {"unusual": 1})
-
-
-@pytest.mark.parametrize(
-    ("read", "more"),
-    [
-        (read_design, {"maximise": "impact_power"}),
-        (read_study, {"of": ["impact_power"], "samples": 2}),
-    ],
-)
-def test_files_with_bounds_warn_of_parameters_and_of_bounds(read, more):
-    file = {"scene": "vibro-impact", "parameters": {"m1": 20.0}, "vary": {"beta": [0.3, 60.0]}, **more}
-    with pytest.warns(vj.UnusualValue) as caught:
-        read(file)
-    lines = [str(record.message) for record in caught]
-    assert len(lines) == 2 and "parameters.m1: 20 kg" in lines[0] and "vary.beta: " in lines[1]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        read(file | {"unusual": True})

@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn import LONG, basin, cells, lanes, law, line, plane, points, returns, rock, sample, scales, sheet_of, square
+from drawn import LONG, basin, cells, lanes, line, plane, points, returns, sample, scales, sheet_of, square
 from matplotlib.collections import QuadMesh
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.pictures.selection import select
-from vibrojax.pictures.sheet import PAGE
 from vibrojax.studies.choose import picture, requested
 
 
@@ -35,14 +34,6 @@ def test_variable_over_two_axes_is_drawn_as_single_map():
     assert scales(sheet)[0].label == "share of stick" and sheet.plots[0].y.label == "mass ratio m₂/m₁, β"
 
 
-def test_variable_of_rock_sweep_and_of_fit_is_drawn_as_curves():
-    swept = rock({"k3": [1e8, 3e8], "frequency": np.linspace(10, 40, 5)})
-    assert np.allclose(requested(swept, "relief").plots[0].layers[1].y, swept["relief"].sel(k3=3e8))
-    fit = law({"force": [2e5, 2.5e5, 3e5]})
-    curves = requested(fit, "aic").plots[0].layers
-    assert np.array_equal([curve.y for curve in curves], fit["aic"].transpose("form", "force"))
-
-
 def test_variable_of_many_starts_is_mapped_over_starts_or_as_median():
     ((_, over),) = cells(requested(with_shares(basin(plane())), "stick_fraction"), "viridis")
     assert over.values.shape == (10, 12)
@@ -51,28 +42,6 @@ def test_variable_of_many_starts_is_mapped_over_starts_or_as_median():
     ((_, shown),) = cells(sheet, "viridis")
     assert np.allclose(shown.values, ds["stick_fraction"].median("start").transpose("beta", "gamma"))
     assert "Of 64 starts the median" in sheet.note
-
-
-KINDS = {
-    "map": lambda: lanes(square(8, delta=[-0.005, 0.005])),
-    "line": lambda: lanes({"gamma": np.linspace(0.3, 1.2, 20)}),
-    "points": points,
-    "returns": lambda: returns({"gamma": np.linspace(0.3, 1.2, 20), "delta": [-0.005, 0.005]}).drop_dims(
-        "return_index"
-    ),
-    "plane": lambda: basin(plane(), {"gamma": [0.5, 0.7]}),
-    "sample": lambda: basin(sample()),
-    "sample-map": lambda: basin(sample(20), LONG),
-}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_variables_of_every_kind_of_sweep_fit_on_page(kind):
-    names = ["stick_fraction", "regime", "impact_velocity", "period"]
-    sheet = requested(with_shares(KINDS[kind]()), names)
-    assert sheet.size[0] <= PAGE[0] and sheet.size[1] <= PAGE[1]
-    words = [plot.y.label for plot in sheet.plots] + [scale.label for scale in scales(sheet)]
-    assert "share of stick" in words
 
 
 # Selection by value.
@@ -99,11 +68,6 @@ def test_coordinate_along_axis_selects_all_matching_lanes():
     assert select(points(), {"start": "stuck"}).sizes["point"] == 20
     vector = select(basin(line(3)), {"start": "[0,0,-0.05,0]"})
     assert float(vector["start_x2"]) == -0.05
-
-
-def test_group_of_fit_is_selected_by_its_column():
-    fit = law({"group": np.arange(3)}).drop_vars("group").assign_coords(rpm=("group", [80.0, 120.0, 160.0]))
-    assert float(select(fit, {"rpm": 120})["C"].sel(form="line")) == float(fit["C"].isel(group=1).sel(form="line"))
 
 
 # Colours.
@@ -149,7 +113,7 @@ def test_error_names_invalid_value_and_available_ones(arguments, message):
 
 @pytest.fixture
 def written(tmp_path):
-    ds = with_shares(lanes(square(5, delta=[-0.005, 0.005]))).assign_attrs(source="vibrojax 0")
+    ds = with_shares(lanes(square(3, delta=[-0.005, 0.005]))).assign_attrs(source="vibrojax 0")
     vj.write_dataset(ds, tmp_path / "map.nc")
     return tmp_path / "map.nc"
 

@@ -45,36 +45,26 @@ def refusal(path: Path) -> str:
     return str(raised.value)
 
 
-def check_flips(path: Path, rates: xr.Dataset, count: int) -> None:
-    """Flip single bits: the dataset is the original, or refused."""
-    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+def test_no_flip_opens_with_other_values(written, rates):
+    """Flip single bits: the dataset is the original, or refused. A cut or longer file is refused."""
+    files = [file for file in written.rglob("*") if file.is_file()] if written.is_dir() else [written]
     sizes, rng = [file.stat().st_size for file in files], random.Random(1)
-    for _ in range(count):
+    for _ in range(40):
         file = rng.choices(files, sizes)[0]
         content = file.read_bytes()
         flipped = bytearray(content)
         flipped[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
         file.write_bytes(flipped)
         try:
-            xr.testing.assert_identical(vj.open_dataset(path), rates)
+            xr.testing.assert_identical(vj.open_dataset(written), rates)
         except vj.InputError as error:
             assert "\n" not in str(error)
         file.write_bytes(content)
-    xr.testing.assert_identical(vj.open_dataset(path), rates)
-
-
-def test_no_flip_opens_with_other_values(written, rates):
-    check_flips(written, rates, 120)
-
-
-def test_damage_of_every_kind_breaks_the_seal(rates, tmp_path):
-    path = tmp_path / "rates.nc"
-    vj.write_dataset(rates, path)
-    content = path.read_bytes()
-    assert seal.is_own(path) and len(content) > RATES.stat().st_size / 2
-    for damaged in (content[:-1], content[:-20], content[:-100] + bytes(100), content + b"\0", content[:9000]):
-        path.write_bytes(damaged)
-        assert "damaged" in refusal(path) or "netCDF" in refusal(path)
+    xr.testing.assert_identical(vj.open_dataset(written), rates)
+    if written.suffix == ".nc":
+        for damaged in (content[:-1], content[:-100] + bytes(100), content + b"\0"):
+            written.write_bytes(damaged)
+            assert "damaged" in refusal(written) or "netCDF" in refusal(written)
 
 
 def test_edited_datasets_open(written, rates):
@@ -102,13 +92,14 @@ def test_edited_datasets_open(written, rates):
     assert seal.is_own(written.with_name(f"selected{written.suffix}"))
 
 
-def test_dataset_without_secret_is_read_as_unknown(written, rates, monkeypatch):
+def test_dataset_without_secret_is_read_as_unknown(rates, tmp_path, monkeypatch):
     """Another user's dataset opens with the same values, after a check in a process of its own."""
-    monkeypatch.setenv("VIBROJAX_CACHE", str(written.parent / "another"))
+    vj.write_dataset(rates, tmp_path / "rates.nc")
+    monkeypatch.setenv("VIBROJAX_CACHE", str(tmp_path / "another"))
     seal._secret.cache_clear()
     try:
-        assert not seal.is_own(written)
-        xr.testing.assert_identical(vj.open_dataset(written), rates)
+        assert not seal.is_own(tmp_path / "rates.nc")
+        xr.testing.assert_identical(vj.open_dataset(tmp_path / "rates.nc"), rates)
     finally:
         seal._secret.cache_clear()
 
@@ -163,13 +154,6 @@ def test_store_cannot_name_files_elsewhere(rates, tmp_path):
     assert "a name that is no variable's" in refusal(store)
 
 
-def write_many(path: Path) -> None:
-    with netCDF4.Dataset(path, "w") as file:
-        file.source = "vibrojax 0"
-        for number in range(2001):
-            file.createVariable(f"x{number}", "i1")
-
-
 def write_dates(path: Path) -> None:
     """Write 30 kB that are 30 MB as numbers, and 3 GB as dates."""
     with netCDF4.Dataset(path, "w") as file:
@@ -181,17 +165,6 @@ def write_dates(path: Path) -> None:
         x[:] = np.zeros(30_000_000, np.int8)
 
 
-def write_scaled(path: Path) -> None:
-    """Write values that take eight times as much memory when they are unpacked."""
-    with netCDF4.Dataset(path, "w") as file:
-        file.source = "vibrojax 0"
-        file.createDimension("row", 40_000_000)
-        x = file.createVariable("x", "i1", ("row",), zlib=True, chunksizes=(10_000_000,), fill_value=False)
-        x.scale_factor = 0.5
-        x[:] = np.zeros(40_000_000, np.int8)
-
-
-BOMBS = {"2001 variables": write_many, "dates": write_dates, "unpacked": write_scaled}
 MEASURED = """
 import re, resource, sys, vibrojax as vj
 from pathlib import Path
@@ -205,15 +178,13 @@ print(max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss) / 2**20)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="ru_maxrss includes the memory of the parent")
-@pytest.mark.parametrize("name", BOMBS)
-def test_memory_is_bounded(name, tmp_path):
+def test_memory_is_bounded(tmp_path):
     path = tmp_path / "sent.nc"
-    BOMBS[name](path)
+    write_dates(path)
     words = [sys.executable, "-c", MEASURED, str(path)]
     ended = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120)
     line, gigabytes = ended.stdout.splitlines()
-    assert float(gigabytes) < 1.0, ended.stdout
-    assert {"2001 variables": "it has 2001 variables", "dates": "30000000", "unpacked": "0.32 GB"}[name] in line
+    assert float(gigabytes) < 1.0 and "30000000" in line, ended.stdout
 
 
 CUT_OFF = """
@@ -233,10 +204,9 @@ with atomic_folder(Path(sys.argv[1])) as part:
 def test_store_survives_a_kill_while_it_is_replaced(rates, tmp_path):
     pytest.importorskip("zarr")
     store = tmp_path / "rates.zarr"
-    for restored in (lambda: vj.open_dataset(store), lambda: vj.write_dataset(rates, store)):
-        vj.write_dataset(rates, store)
-        assert subprocess.run([sys.executable, "-c", CUT_OFF, str(store)], check=False).returncode == 9
-        assert not store.exists()
-        restored()
-        xr.testing.assert_identical(vj.open_dataset(store), rates)
+    vj.write_dataset(rates, store)
+    assert subprocess.run([sys.executable, "-c", CUT_OFF, str(store)], check=False).returncode == 9
+    assert not store.exists()
+    xr.testing.assert_identical(vj.open_dataset(store), rates)
+    vj.write_dataset(rates, store)
     assert os.listdir(tmp_path) == ["rates.zarr"]

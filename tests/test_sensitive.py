@@ -17,20 +17,13 @@ POINT = {
     "delta": -0.01871209768678116,
     "c2": 62.5,
 }
-"""A machine with two attractors. A chaotic transient of some 25 s ends on either of them."""
 
 
-@pytest.mark.long
-def test_chaotic_transient_before_two_attractors_is_flagged():
-    """The label changes with the settling time, which is why the lane needs a flag; no error estimate shows it."""
-    sweep = {"scene": "vibro-impact", "starts": ["touching"], "unusual": True, "grid": {"beta": [0.6232515398628401]}}
-    regimes = set()
-    for settle in (39.0, 40.0, 41.0, 45.0, 50.0, 60.0, 80.0, 100.0):
-        lane = vj.run_sweep(sweep | {"parameters": POINT, "run": {"settle": settle}}, progress=False)
-        regimes.add(lane.regime.item())
-        assert lane.sensitive.item() == 1 and json.loads(lane.attrs["certified"])["within"] == 0, settle
-        assert lane.error_estimate.item() < 1e-7 or lane.regime.item() != MULTI_IMPACT
-    assert regimes == {MULTI_IMPACT, IRREGULAR}
+def _differ(lanes, others):
+    """Return whether each lane, if it repeats in either run, is on a different attractor."""
+    counts = (lanes.cycles != others.cycles) | (lanes.impacts.round() != others.impacts.round())
+    repeat = (lanes.cycles > 0) | (others.cycles > 0)
+    return (repeat & counts).values
 
 
 def test_slow_regular_transients_are_not_flagged():
@@ -46,31 +39,6 @@ def test_slow_regular_transients_are_not_flagged():
     assert (lanes.cycles > 0).all()
     assert (lanes.sensitive == 0).all()
     assert lanes.sensitive.dtype == np.int8
-
-
-def test_lanes_that_change_with_the_settling_time_are_flagged():
-    """Over the plane of the default map, most certified lanes whose attractor changes with the settling time are
-    sensitive. Of the others, at most 1 % change.
-    """
-    grid = {"beta": np.linspace(0.1, 1.2, 24).tolist(), "gamma": np.linspace(0.3, 1.2, 24).tolist()}
-    sweep = {"scene": "vibro-impact", "parameters": {"delta": -0.005}, "grid": grid}
-    runs = [vj.run_sweep(sweep | {"run": {"settle": settle}}, progress=False) for settle in (40.0, 41.3, 43.7, 47.0)]
-    first, *others = runs
-    certified = first.error_estimate.values <= 1e-4
-    change = np.any([_differ(first, other) for other in others], axis=0) & certified
-    flagged = first.sensitive.values == 1
-    print(f"{certified.sum()} certified, {flagged.sum()} sensitive, {change.sum()} change")
-    assert change.sum() >= 4
-    assert (change & flagged).sum() >= 0.75 * change.sum()
-    assert (change & ~flagged).sum() <= 0.01 * (certified & ~flagged).sum()
-    assert (flagged & certified).sum() <= 0.2 * certified.sum()
-
-
-def _differ(lanes, others):
-    """Return whether each lane, if it repeats in either run, is on a different attractor."""
-    counts = (lanes.cycles != others.cycles) | (lanes.impacts.round() != others.impacts.round())
-    repeat = (lanes.cycles > 0) | (others.cycles > 0)
-    return (repeat & counts).values
 
 
 def test_lanes_on_a_chaotic_transient_are_flagged():
@@ -99,3 +67,35 @@ def test_ends_of_transients_are_compared(fine, check, differ):
     """A lane is flagged if only one of its two runs becomes periodic, or each at another time."""
     runs = crossings(fine, 1), crossings(check, 2)
     assert module.ends_differ(*runs, SCENES["rotary"].section).tolist() == [differ]
+
+
+@pytest.mark.long
+def test_chaotic_transient_before_two_attractors_is_flagged():
+    """The label changes with the settling time, which is why the lane needs a flag; no error estimate shows it."""
+    sweep = {"scene": "vibro-impact", "starts": ["touching"], "unusual": True, "grid": {"beta": [0.6232515398628401]}}
+    regimes = set()
+    for settle in (39.0, 40.0, 41.0, 45.0, 50.0, 60.0, 80.0, 100.0):
+        lane = vj.run_sweep(sweep | {"parameters": POINT, "run": {"settle": settle}}, progress=False)
+        regimes.add(lane.regime.item())
+        assert lane.sensitive.item() == 1 and json.loads(lane.attrs["certified"])["within"] == 0, settle
+        assert lane.error_estimate.item() < 1e-7 or lane.regime.item() != MULTI_IMPACT
+    assert regimes == {MULTI_IMPACT, IRREGULAR}
+
+
+@pytest.mark.long
+def test_lanes_that_change_with_the_settling_time_are_flagged():
+    """Over the plane of the default map, most certified lanes whose attractor changes with the settling time are
+    sensitive. Of the others, at most 1 % change.
+    """
+    grid = {"beta": np.linspace(0.1, 1.2, 24).tolist(), "gamma": np.linspace(0.3, 1.2, 24).tolist()}
+    sweep = {"scene": "vibro-impact", "parameters": {"delta": -0.005}, "grid": grid}
+    runs = [vj.run_sweep(sweep | {"run": {"settle": settle}}, progress=False) for settle in (40.0, 41.3, 43.7, 47.0)]
+    first, *others = runs
+    certified = first.error_estimate.values <= 1e-4
+    change = np.any([_differ(first, other) for other in others], axis=0) & certified
+    flagged = first.sensitive.values == 1
+    print(f"{certified.sum()} certified, {flagged.sum()} sensitive, {change.sum()} change")
+    assert change.sum() >= 4
+    assert (change & flagged).sum() >= 0.75 * change.sum()
+    assert (change & ~flagged).sum() <= 0.01 * (certified & ~flagged).sum()
+    assert (flagged & certified).sum() <= 0.2 * certified.sum()

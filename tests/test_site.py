@@ -1,6 +1,7 @@
-"""Test the site's pages without a build: links in texts, names in the reference, and the checker of built pages."""
+"""Test links in texts, names in the reference, the checker of built pages, and the actions and commands of CI."""
 
 import re
+import subprocess
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -42,6 +43,16 @@ def test_every_public_name_is_in_reference():
     assert sorted(set(vj.__all__) - documented) == [], "write these onto a page of notebooks/api"
 
 
+def test_gallery_shows_every_script_with_its_picture():
+    """The build of the site runs the scripts, and an error in one of them ends it."""
+    names = sorted(script.stem for script in (ROOT / "notebooks" / "gallery").glob("*.py"))
+    page = (ROOT / "notebooks" / "gallery.md").read_text()
+    assert len(names) >= 12
+    assert sorted(re.findall(r"\{literalinclude\} gallery/(\w+)\.py", page)) == names
+    assert sorted(re.findall(r'^made_by\("(\w+)"\)$', page, re.MULTILINE)) == names
+    assert len(re.findall(r'^    alt: "[^"]+"$', page, re.MULTILINE)) == len(names)
+
+
 def test_notebooks_have_no_stored_outputs():
     assert [path.name for path in (ROOT / "notebooks").glob("*.ipynb") if '"output_type"' in path.read_text()] == []
 
@@ -59,3 +70,23 @@ def test_dead_links_are_reported(tmp_path):
         "wrong.html: gone.html is not there",
     ]
     assert faults(tmp_path / "none") == [f"{tmp_path / 'none'}: no pages"]
+
+
+def test_actions_are_pinned_by_commit():
+    texts = [path.read_text() for path in (ROOT / ".github/workflows").glob("*.yml")]
+    used = [action for text in texts for action in re.findall(r"uses: (\S+)", text)]
+    assert len(texts) == 2 and used and all(re.fullmatch(r"[\w/-]+@[0-9a-f]{40}", action) for action in used)
+
+
+@pytest.mark.parametrize("changed", ["bin/pytest", "bin/sphinx-build"])
+def test_other_commands_in_the_readme_are_not_run(changed, tmp_path):
+    """The script stops before it installs anything, or for the site, before it runs the command."""
+    script = (ROOT / ".ci/run").read_text()
+    checks = re.findall(r"^(?:test_command=|site_command=|expect ).*$", script, re.M)
+    [define] = re.findall(r"^expect\(\) \{\n.*?\n\}$", script, re.M | re.S)
+    for readme, passes in (((ROOT / "README.md").read_text(), True), ("", False)):
+        text = readme or (ROOT / "README.md").read_text().replace(changed, f"{changed} --curl")
+        (tmp_path / "README.md").write_text(text)
+        words = ["bash", "-euo", "pipefail", "-c", "\n".join([define, *checks, "echo passed"])]
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
+        assert ("passed" in done.stdout) == passes and ("has another command" in done.stderr) == (not passes)

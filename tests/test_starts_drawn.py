@@ -1,4 +1,4 @@
-"""Test samples of a box and planes of states as starts, and sweeps over starts alone."""
+"""Test samples of a box, planes of states and columns of points as starts, and sweeps over starts alone."""
 
 import numpy as np
 import pytest
@@ -30,16 +30,6 @@ def test_sobol_sample_has_one_start_in_each_slice():
         assert sorted(column) == list(range(64))
     assert (read_starts(sobol(40)).starts.vectors == starts.vectors[:40]).all()
     assert (read_starts(sobol(seed=1)).starts.vectors != starts.vectors).all()
-
-
-def test_random_sample_is_uniform_in_box():
-    starts = read_starts(
-        {"sample": "random", "count": 20000, "seed": 3, "box": {"v2": [-3.0, 1.0]}, "at": {"v1": -1.5}}
-    ).starts
-    v2 = starts.vectors[:, 3]
-    assert (starts.vectors[:, :3] == [0.0, -1.5, 0.0]).all() and v2.min() >= -3.0 and v2.max() <= 1.0
-    sigma = 4.0 / np.sqrt(12)
-    assert abs(v2.mean() + 1.0) < 4 * sigma / np.sqrt(20000) and abs(v2.std() - sigma) < 0.02
 
 
 def test_plane_is_row_major_in_given_order():
@@ -79,3 +69,25 @@ def test_invalid_starts_are_refused_in_one_line(starts, line):
     with pytest.raises(InputError) as caught:
         read_starts(starts)
     assert line in str(caught.value) and "\n" not in str(caught.value)
+
+
+COLUMNS = ("start_x1", "start_v1", "start_x2", "start_v2")
+VECTORS = np.array([[0.0, -1.5, 0.0, 0.0], [0.01, 0.3, -0.02, 1.0], [-0.03, 0.0, 0.001, -2.0]])
+
+
+def sweep(vectors=VECTORS, **more):
+    points = {name: vectors[:, i].tolist() for i, name in enumerate(COLUMNS)}
+    return {"scene": "vibro-impact", "points": points | more, "run": RUN}
+
+
+def test_each_point_starts_from_its_own_state():
+    dataset = vj.run_sweep(sweep(beta=[0.4, 0.3, 0.5]), progress=False)
+    assert dataset.regime.dims == ("point",) and "start" not in dataset.dims
+    for i, beta in enumerate((0.4, 0.3, 0.5)):
+        single_sweep = {"scene": "vibro-impact", "starts": [VECTORS[i].tolist()], "grid": {"beta": [beta]}, "run": RUN}
+        alone = vj.run_sweep(single_sweep, progress=False).squeeze()
+        for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
+            assert float(dataset[name][i]) == float(alone[name]), name
+    # The first vector is the named start `stuck`.
+    named = vj.run_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"beta": [0.4]}, "run": RUN}, False)
+    assert float(dataset.period[0]) == named.period.item()

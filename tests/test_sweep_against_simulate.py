@@ -17,6 +17,7 @@ COMPARED = (0, 63, 64, 95)
 
 SETTLE, OBSERVE, ERROR = 0.3, 0.9, 1e-4
 DRILLS = ("rotary", "vibro-impact", "drilling", "coupled-drilling")
+SHORT = ("vibro-impact", "stribeck"), ("vibro-impact", "hyperbolic"), ("coupled-drilling", "coulomb")
 
 
 def columns(scene: str) -> dict:
@@ -53,7 +54,7 @@ def drill_cases():
     """Yield every drill with every law. A case is long if others, or `test_exact.py`, cover its drill and its law."""
     for scene in DRILLS:
         for law in FRICTION_LAWS:
-            covered = law != "stribeck" and (scene != "vibro-impact" or law not in ("coulomb", "hyperbolic"))
+            covered = (scene, law) not in SHORT
             yield pytest.param(scene, law, marks=[pytest.mark.long] * covered)
 
 

@@ -1,6 +1,5 @@
 """Test how valid sweep files are read. Invalid ones are in test_sweep_file_refused."""
 
-import tomllib
 from math import pi
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from vibrojax.errors import InputError, Place
 from vibrojax.maps.read import read_point, read_sweep
 from vibrojax.settings.run_settings import RunSettings
-from vibrojax.settings.toml import render
 
 FULL = """
 scene = "vibro-impact"
@@ -59,31 +57,23 @@ def test_lanes_run_in_row_major_order(tmp_path):
     assert set(values) == set(sweep.system.parameters())
     assert all(column.shape == (144,) and column.dtype == np.float64 for column in values.values())
     mesh = np.meshgrid(*sweep.axes.values(), np.arange(2), indexing="ij")
-    for name, expected in zip(sweep.axes, mesh, strict=False):
-        np.testing.assert_array_equal(values[name].reshape(sweep.shape), expected)
-    np.testing.assert_array_equal(starts.reshape(sweep.shape), mesh[-1])
-    assert np.issubdtype(starts.dtype, np.integer)
+    for column, expected in zip((*(values[name] for name in sweep.axes), starts), mesh, strict=True):
+        np.testing.assert_array_equal(column.reshape(sweep.shape), expected)
     part, part_starts = sweep.lane_values(17, 61)
     assert all((part[name] == values[name][17:61]).all() for name in values)
     assert (part_starts == starts[17:61]).all()
 
 
 def test_grid_too_large_for_memory_is_read_lazily():
-    axis = {"start": 0.1, "stop": 1.2, "num": 10**6}
+    axis = {"start": 0.1, "stop": 1.2, "num": 10**5}
     sweep = read_sweep({"scene": "rotary", "grid": {"beta": axis, "gamma": axis, "v": [1.0, 2.0]}})
-    assert sweep.lanes == 4 * 10**12
+    assert sweep.lanes == 4 * 10**10
     values, starts = sweep.lane_values(sweep.lanes - 3, sweep.lanes)
     assert (
         values["beta"].tolist() == [1.2] * 3
         and values["v"].tolist() == [1.0, 2.0, 2.0]
         and starts.tolist() == [1, 0, 1]
     )
-
-
-def test_starts_can_be_names_and_vectors():
-    starts = ["touching", [0, 0, 0.01, -1]]
-    sweep = read_sweep({"scene": "vibro-impact", "starts": starts, "grid": {"beta": [0.4]}})
-    assert tuple(sweep.starts) == ("touching", (0.0, 0.0, 0.01, -1.0))
 
 
 def test_dict_and_its_text_give_same_sweep(tmp_path):
@@ -102,11 +92,6 @@ def test_dict_and_its_text_give_same_sweep(tmp_path):
     assert again.identity() == sweep.identity()
 
 
-@pytest.mark.parametrize("tables", [{}, {"a": 1, "b c": [1.5, True], "t": {"x": {"y": "z"}, "e": {}}}, {"t": {}}])
-def test_toml_writer_round_trips(tables):
-    assert tomllib.loads(render(tables)) == tables
-
-
 def test_identity_depends_only_on_what_is_computed():
     base = {"scene": "rotary", "grid": {"beta": np.linspace(0.1, 0.5, 20)}}
     same = base | {"title": "other", "run": {"chunk": 7}, "parameters": {"m1": 250}}
@@ -123,20 +108,13 @@ def test_identity_depends_only_on_what_is_computed():
 SPEED = 2 * pi * 120 / 60 * 0.1
 
 
-def test_fixed_rotation_gives_drive_speed():
-    sweep = read_sweep({"scene": "rotary", "parameters": {"rpm": 120, "bit_radius": 0.1}, "grid": {"beta": [0.4]}})
-    assert sweep.parameters["v"] == pytest.approx(SPEED) and not {"rpm", "bit_radius"} & sweep.parameters.keys()
-    assert sweep.given == {"rpm": 120.0, "bit_radius": 0.1}
-    assert sweep.lane_values(0, 2)[0]["v"] == pytest.approx(SPEED)
-
-
 def test_rotation_on_axis_gives_drive_speed():
     grid = {"rpm": [60, 120], "beta": [0.4, 0.5]}
     sweep = read_sweep({"scene": "rotary", "parameters": {"bit_radius": 0.1}, "grid": grid, "starts": ["drive"]})
     assert sweep.dims == ("rpm", "beta", "start") and "v" not in sweep.parameters
     values, _ = sweep.lane_values(0, 4)
     assert values["v"] == pytest.approx([SPEED / 2, SPEED / 2, SPEED, SPEED])
-    assert set(values) == set(sweep.system.parameters())
+    assert set(values) == set(sweep.system.parameters()) and sweep.given == {"bit_radius": 0.1}
 
 
 # bit_frequency replaces k1 = m1 (2 pi bit_frequency)², striker_frequency gamma = striker_frequency/bit_frequency
@@ -149,7 +127,6 @@ def test_rotation_on_axis_gives_drive_speed():
         ({"bit_frequency": 4.0}, {"gamma": [0.7]}, [250.0 * (8 * pi) ** 2], [0.7]),
         ({"bit_frequency": 4.0}, {"striker_frequency": [2.0, 3.0]}, [250.0 * (8 * pi) ** 2] * 2, [0.5, 0.75]),
         ({"striker_frequency": 3.0}, {"m1": [250.0, 1000.0]}, [156250.0] * 2, [6 * pi / 25, 6 * pi / 12.5]),
-        ({"striker_frequency": 3.0, "m1": 200.0}, {"bit_frequency": [4.0]}, [200.0 * (8 * pi) ** 2], [0.75]),
     ],
 )
 def test_frequencies_give_stiffness_and_ratio(parameters, grid, k1, gamma):

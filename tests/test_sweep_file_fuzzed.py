@@ -16,7 +16,7 @@ from vibrojax.maps.read import read_sweep
 
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(
-    max_examples=int(os.environ.get("VIBROJAX_FUZZ", 60)),
+    max_examples=int(os.environ.get("VIBROJAX_FUZZ", 40)),
     deadline=5000,  # [ms]; catches hangs
     derandomize="VIBROJAX_FUZZ" not in os.environ,
     suppress_health_check=list(HealthCheck),
@@ -102,23 +102,4 @@ def mutated_sweep_text(draw) -> str:
 @example("scene = 'rotary'\ngrid.beta = [1_0e9999, 0x1f, 1979-05-27T07:32:00Z]")
 def test_files(file, text):
     file.write_bytes(text.encode("utf-8", "surrogatepass"))
-    check_reading_ends(file)
-
-
-CELLS = SCALARS.map(str) | st.sampled_from(["0.3", "", " 1e0 ", '"', '"0.3"', "\0", "nan", "1_0", "½"])
-
-
-@pytest.mark.filterwarnings("ignore:.*semicolons separate the columns")
-@fuzzed
-@given(
-    st.lists(NAMES | CELLS, max_size=4),
-    st.lists(st.lists(CELLS, max_size=4), max_size=5),
-    st.sampled_from([",", ";", "\t"]),
-    st.sampled_from(["\n", "\r\n", "\r"]),
-    st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),
-)
-def test_points(file, header, rows, comma, newline, encoding):
-    text = newline.join(comma.join(row) for row in [header, *rows])
-    (file.parent / "p.csv").write_bytes(text.encode(encoding, "surrogatepass"))
-    file.write_text('scene = "vibro-impact"\npoints = "p.csv"\n')
     check_reading_ends(file)

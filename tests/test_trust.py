@@ -1,9 +1,8 @@
 """Test that foreign code runs as kernels only where kernels agree with XLA, and otherwise on XLA with one warning."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import ClassVar
 
 import jax
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from jax import lax
 
 import vibrojax as vj
-from vibrojax.compile import KernelRefused, agreement, elementwise, trust
+from vibrojax.compile import KernelRefused, elementwise, trust
 from vibrojax.compile.native import kernels
 from vibrojax.compile.trust import is_foreign
 from vibrojax.lanes.agreement import Comparison, lanes_of
@@ -50,13 +49,6 @@ def zero_unless_faulty(x):
     return lax.erfc(0.0 * x) - 1.0
 
 
-class FaultInConstants(VibroImpact):
-    """A drill whose gap the fault moves by a millimetre."""
-
-    def constants(self, p):
-        return super().constants(p | {"delta": p["delta"] + 1e-3 * zero_unless_faulty(p["delta"])})
-
-
 class FaultInGuard(VibroImpact):
     """A drill whose contact begins elsewhere, with the fault only in the guard."""
 
@@ -69,36 +61,12 @@ class FaultInGuard(VibroImpact):
         return friction, replace(contact, function=function)
 
 
-@dataclass(frozen=True)
-class Speed(vj.Gauge):
-    """A quantity that the fault changes."""
-
-    variables: ClassVar[dict[str, tuple[str, str]]] = {"my_speed": ("m s-1", "drive speed")}
-
-    def read(self, scene, c, carry, whole):
-        return {"my_speed": 1.5 + zero_unless_faulty(whole.time)}
-
-
-class FaultInGauge(VibroImpact):
-    measures = (*VibroImpact.measures, Speed())
-
-
 def law_with_term(term):
     return FrictionLaw("mine", "eq. 5.9", STRIBECK.parameters, lambda u, p: STRIBECK.mu(u, p) + term(p["mu"]))
 
 
 def refusal_messages(recorded):
     return [str(warning.message) for warning in recorded if issubclass(warning.category, KernelRefused)]
-
-
-WRONG = law_with_term(lambda x: 0.1 * zero_unless_faulty(x))
-
-FAULTY = {
-    "constants": (FaultInConstants(), "constants.contact.delta"),
-    "guard": (FaultInGuard(), "guards['contact']"),
-    "gauge": (FaultInGauge(), "features['my_speed']"),
-    "law": (VibroImpact(friction=WRONG), "slip.stick_limit"),
-}
 
 
 def compare_kernel(scene, derives=False):
@@ -116,7 +84,7 @@ def test_sweep_with_a_fault_runs_on_xla(translation_fault):
         period=lambda p: 2 * np.pi / p["w"] * (1 + zero_unless_faulty(p["w"])),
     )
     with pytest.warns(KernelRefused) as caught:
-        ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0, 2.0]}}, progress=False)
+        ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0, 2.0]}, "run": {"end_early": False}}, progress=False)
     [line] = refusal_messages(caught)
     assert line.startswith('scene "lag": its kernel and XLA differ by ') and "\n" not in line
     assert line.endswith("; XLA runs its lanes, which takes longer")
@@ -124,13 +92,9 @@ def test_sweep_with_a_fault_runs_on_xla(translation_fault):
     np.testing.assert_allclose(ds.x_amplitude.values.ravel(), [0.5**0.5, 0.2**0.5], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "where", ["guard", *(pytest.param(name, marks=pytest.mark.long) for name in ("constants", "gauge", "law"))]
-)
-def test_comparison_names_differing_quantity(where, translation_fault):
-    scene, quantity = FAULTY[where]
-    differs = compare_kernel(scene)
-    assert differs is not None and quantity in differs.quantity and 1e-5 < differs.relative < 10
+def test_comparison_names_differing_quantity(translation_fault):
+    differs = compare_kernel(FaultInGuard())
+    assert differs is not None and "guards['contact']" in differs.quantity and 1e-5 < differs.relative < 10
 
 
 @jax.custom_jvp
@@ -145,15 +109,10 @@ def _(primals, tangents):
 
 
 def test_fault_only_in_derivatives_is_detected(translation_fault):
-    scene = VibroImpact(friction=law_with_term(zero))
+    scene = vj.SCENES["rotary"](friction=law_with_term(zero))
     assert compare_kernel(scene) is None
     differs = compare_kernel(scene, derives=True)
     assert differs is not None and "derivative" in differs.quantity
-
-
-def test_tolerances_and_versions():
-    assert agreement.AGREEMENT_TOLERANCE == {"float64": 1e-10, "float32": 1e-4}
-    assert trust.TESTED_VERSIONS == {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
 
 
 @pytest.mark.parametrize(
@@ -163,8 +122,7 @@ def test_tolerances_and_versions():
         (VibroImpact(friction=FRICTION_LAWS["coulomb"]), False),
         (VibroImpact(friction=law_with_term(zero_unless_faulty)), True),
         (VibroImpact(friction=FrictionLaw("mine", "", {}, partial(STRIBECK.mu, extra=law_with_term))), True),
-        (FaultInConstants(), True),
-        (FaultInGauge(), True),
+        (FaultInGuard(), True),
     ],
 )
 def test_foreign_code_is_recognised(scene, foreign):

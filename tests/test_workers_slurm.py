@@ -11,6 +11,7 @@ import xarray as xr
 from commands import TEXT, start
 
 import vibrojax as vj
+from vibrojax.cli import main
 
 fake_slurm = pytest.importorskip("fake_slurm")
 pytest.importorskip("submitit")
@@ -59,13 +60,13 @@ def test_interrupt_cancels_jobs(slurm, tmp_path):
         time.sleep(0.05)
 
 
-def test_job_folder_writable_by_others_is_refused(slurm, tmp_path):
+def test_job_folder_writable_by_others_is_refused(slurm, tmp_path, monkeypatch, capsys):
     """Jobs unpickle the files in the folder, so a file from someone else would run code."""
-    (tmp_path / "out.nc.jobs").mkdir()
-    (tmp_path / "out.nc.jobs").chmod(0o777)
-    driver = slurm("sweep", "map.toml", "-o", "out.nc", "--workers", "slurm:2", "--quiet")
-    messages = driver.communicate()[1]
-    assert driver.returncode == 2 and "others can write to it, and could run code in the jobs; remove it" in messages, (
-        messages
-    )
-    assert messages.count("\n") == 1 and not list(tmp_path.glob("bin/jobs/*"))
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
+    monkeypatch.chdir(tmp_path)
+    Path("out.nc.jobs").mkdir()
+    Path("out.nc.jobs").chmod(0o777)
+    assert main(["sweep", "map.toml", "-o", "out.nc", "--workers", "slurm:2", "--quiet"]) == 2
+    messages = capsys.readouterr().err
+    assert "others can write to it, and could run code in the jobs; remove it" in messages and messages.count("\n") == 1
+    assert not list(tmp_path.glob("bin/jobs/*"))

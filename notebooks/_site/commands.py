@@ -31,7 +31,8 @@ class CommandHelp(SphinxDirective):
 
 
 def help_text(name: str) -> str:
-    """Return the help of a command, in lines that fit on a page."""
+    """Return the help of a command in lines that fit on a page, without the terms that the glossary defines."""
     settings = os.environ | {"COLUMNS": "88", "NO_COLOR": "1"}
     command = [sys.executable, "-m", "vibrojax", name, "--help"]
-    return subprocess.run(command, env=settings, check=True, capture_output=True, text=True).stdout.rstrip()
+    text = subprocess.run(command, env=settings, check=True, capture_output=True, text=True).stdout
+    return text.partition("words used in the output:")[0].rstrip()

@@ -51,20 +51,20 @@ GROUPS = {"all but penetration": "", "all but penetration, rotary": "impacts", "
 SHARED = {
     r"(\w+)_(?:least|most)": (
         "NAME_least, NAME_most",
-        "of NAME",
-        "least and greatest value of the samples",
+        "as NAME",
+        "least and greatest value among the samples",
         "tolerance",
         "",
     ),
     r"(\w+)_(?:least|most)_sample": (
         "NAME_least_sample, NAME_most_sample",
         "1",
-        "sample with this value; -1: no sample has one",
+        "number of the sample with this value; -1 if no sample has a value",
         "tolerance",
         "",
     ),
-    r"return_([xv]\d|compression)": ("return_NAME", "of NAME", "state at the return", "", ""),
-    r"orbit_([xv]\d|compression)": ("orbit_NAME", "of NAME", "state of the return map on the orbit", "", "all"),
+    r"return_([xv]\d|compression)": ("return_NAME", "as NAME", "state at the return", "", ""),
+    r"orbit_([xv]\d|compression)": ("orbit_NAME", "as NAME", "state at which the orbit crosses the section", "", "all"),
     r"(\w+_order)_conf": ("NAME_conf", "1", "half-width of the confidence interval of NAME", "study", ""),
 }
 """Patterns of variables that share a row, and that row: variable, units, meaning, command and scenes."""
@@ -103,7 +103,7 @@ def flags() -> pd.DataFrame:
 def fit() -> pd.DataFrame:
     """Return the variables of a fit of the rate-of-penetration law, without the standard errors."""
     values = {name: ", ".join(about.flags) for name, about in OF_FITS.items()}
-    values["r_squared_reason"] = "those of reason"
+    values["r_squared_reason"] = "as for reason"
     rows = [
         (name, about.units, about.along or "groups only", about.long_name, values[name])
         for name, about in OF_FITS.items()

@@ -1,4 +1,4 @@
-"""Trials of the fit on logs with planted laws: `python tests/laws/trials.py [COUNT [SEED]]` prints what is told right.
+"""Trials of the fit on logs with planted laws.
 
 Each trial has two formations with their own C and D. The noise is 3 % of the mean rate, with a correlation of 0.7
 between neighbouring rows, and 3 % of the rows are outliers.
@@ -90,9 +90,3 @@ CASES = {
     "literal, no outliers": {"outliers": 0.0},
     "literal, independent noise": {"rho": 0.0},
 }
-
-if __name__ == "__main__":
-    number, seed = (int(word) for word in (sys.argv[1:] + ["200", "1"][len(sys.argv) - 1 :])[:2])
-    print(f"{number} trials: shares of right and wrong verdicts, C, verdict and C, founder")
-    for case in sys.argv[3:] or CASES:
-        print(f"{case:28}", *(f"{share:6.3f}" for share in trials(number, seed, **CASES[case])), flush=True)

@@ -210,7 +210,7 @@ def working_cycle(motion: xr.Dataset) -> Figure:
 
 def swept_sine(motions: Motions, stiffnesses: Sequence[int]) -> Figure:
     """Draw the bit's velocity amplitude and the depth of the hole over the frequency (Figs 6.4 to 6.7)."""
-    labels = ("swing of x₃′ [mm/s]", "hole x₄ [mm]")
+    labels = ("amplitude of x₃′ [mm/s]", "hole x₄ [mm]")
     figure, panels = panels_for(1.5, "frequency of the swept sine [Hz]", labels, share=True, grid=False)
     for motion, k3, colour in zip(motions, stiffnesses, LINE_COLOURS, strict=False):
         middles, swings = envelope(motion, "v3", 0.1)

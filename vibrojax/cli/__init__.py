@@ -41,7 +41,7 @@ MAX_STDERR_LINE = 4000
 
 _LOUDNESS = either(
     flag("--quiet", "print only errors, warnings and the result"),
-    flag("--verbose", "say on stderr what was chosen, and how long each part took"),
+    flag("--verbose", "report automatic choices and run times on stderr"),
 )
 
 _COMMANDS: dict[str, Command | str] = {

@@ -16,7 +16,7 @@ AddArguments = Callable[[Any], object]
 MANY: dict[str, Any] = {"action": "extend", "nargs": "+"}
 """Settings of an option that accepts several values, and may be repeated."""
 
-SWEEP = "a sweep: a bundled name, like regime-map, or the path of a TOML file; or "
+SWEEP = "a sweep: a bundled name such as regime-map, or the path of a TOML file; or "
 """Beginning of the help of FILE where it may be a sweep."""
 
 _HALF_WIDTH = re.compile(r"\+-|±|\+/-")
@@ -95,13 +95,13 @@ def explained(*terms: str) -> AddArguments:
 def result_options(default: str) -> tuple[AddArguments, ...]:
     """Declare the options of a command that writes a result; `default` describes the default name of its file."""
     return (
-        argument("-o", "OUT.nc", f"where to write ({default} in this folder)", dest="out"),
-        flag("--fresh", "compute again, and replace OUT, whatever result of vibrojax it holds"),
+        argument("-o", "OUT.nc", f"output file (default: {default} in this folder)", dest="out"),
+        flag("--fresh", "compute again, and replace any vibrojax result in OUT"),
         JSON,
     )
 
 
-JSON = flag("--json", "print one JSON object on stdout, and nothing else there; a number that is not finite is null")
+JSON = flag("--json", "print only one JSON object on stdout; non-finite numbers become null")
 
 
 def named_values(

@@ -20,28 +20,34 @@ from vibrojax.threads import on_leaving
     argument(
         "-o",
         "PICTURE.png",
-        "where to draw (OUT.png beside OUT.nc; with options OUT-VARIABLE.png, OUT-over-FAMILY.png, ...)",
+        "picture file (default: OUT.png beside OUT.nc; with options OUT-VARIABLE.png, OUT-over-FAMILY.png, ...)",
         dest="out",
     ),
-    argument("--variable", "NAME", "draw these variables, over all that varies; regime is one of them", **MANY),
-    argument("--where", "CONDITION", 'draw only the lanes there, as in delta=0.005 start=stuck "v (m/s) < 2"', **MANY),
+    argument("--variable", "NAME", "variables to draw over all varied axes; regime is one of them", **MANY),
+    argument(
+        "--where",
+        "CONDITION",
+        'draw only lanes that meet these conditions: delta=0.005 start=stuck "v (m/s) < 2"',
+        **MANY,
+    ),
     argument(
         "--over",
         "FAMILY.nc",
-        "over the returns of a sweep: what vibrojax follow has found along its axis; over a map: borders or curves",
+        "result to draw on top: of vibrojax follow, over the returns of a sweep along the same parameter; of borders "
+        "or curves, over a map",
         **MANY,
     ),
     argument(
         "--diagram",
         "NAME",
-        "of a sweep: campbell (frequencies over the speed), rate-over-force (rate of penetration with its onset) or "
-        "chart (the robust single impact over two parameters, with lines of energy, force and rate)",
+        "diagram of a sweep: campbell (frequencies over the speed), rate-over-force (rate of penetration with its "
+        "onset) or chart (where the single impact is robust, with lines of equal energy, force and rate)",
     ),
-    argument("--colours", "MAP", "matplotlib's colour map for quantities"),
+    argument("--colours", "MAP", "name of a matplotlib colour map for quantities"),
     argument("--width", "WIDTH", "width of the picture, such as 85mm or 170mm for a column or a page of a journal"),
 )
 def plot(options: Options) -> None:
-    """Draw the picture that suits what a dataset holds, or specified variables, at specified values of its axes."""
+    """Draw the picture that fits a dataset, or specified variables at specified values of its axes."""
     from vibrojax.io.dataset import open_dataset
     from vibrojax.io.riglog import read_conditions
     from vibrojax.settings.values import check_distinct
@@ -97,18 +103,16 @@ def info(options: Options) -> None:
         "a dataset of vibrojax: of a sweep, its orbits, attractors or borders, families, one motion, or a fit; "
         "with --live also a scene",
     ),
-    words("of a scene: where its motion begins, as for vibrojax simulate"),
+    words("for a scene: parameters and other values as for vibrojax simulate"),
     argument(
-        "-o", "PAGE.html", "where to write (OUT.html beside OUT.nc; with --over OUT-over-BORDERS.html)", dest="out"
+        "-o", "PAGE.html", "page file (default: OUT.html beside OUT.nc; with --over OUT-over-BORDERS.html)", dest="out"
     ),
-    argument("--over", "CURVES.nc", "lay over the map what vibrojax borders or curves has found in the same plane"),
-    flag(
-        "--live", "open the page from a server on this machine alone, with sliders for every parameter; Ctrl-C ends it"
-    ),
-    flag("--no-browser", "with --live: print the address, and open no browser"),
+    argument("--over", "CURVES.nc", "result of vibrojax borders or curves, to draw over the map of the same plane"),
+    flag("--live", "serve the page to this machine only, with a slider for every parameter; Ctrl-C stops the server"),
+    flag("--no-browser", "with --live: print the address and do not open a browser"),
 )
 def explore(options: Options) -> None:
-    """Write an interactive HTML page: plots of the dataset and, for every cell, its machine in motion and numbers.
+    """Write an interactive HTML page: plots of a dataset and, for each cell, its values and the machine in motion.
 
     It shows a map, a bifurcation diagram, families, attractors, a fit, or the plots of another analysis. Each plot
     can be zoomed and saved, and motions compared. With --live, nothing is written: a server on this machine serves the
@@ -178,7 +182,7 @@ def _serve(options: Options, live: Any) -> None:
         live.wait()
 
 
-@command(argument("scene", "SCENE", "one of them, in full", nargs="?"))
+@command(argument("scene", "SCENE", "name of the scene to describe in full", nargs="?"))
 def scenes(options: Options) -> None:
     """List the scenes, or a scene's parameters, initial conditions, friction laws, variables and settings."""
     from vibrojax.studies.catalogue import scene_rows, scene_text

@@ -36,10 +36,12 @@ if TYPE_CHECKING:
 
 START = "start (a name, or [x1,x1',x2,x2'])"
 LISTS = (
-    "; a list, beta=0.3,0.4,0.5, is as many machines, computed together; of several lists the first values belong to "
-    "one machine, the second ones to the next"
+    "; a list such as beta=0.3,0.4,0.5 defines several machines, computed together; with several lists, each machine "
+    "takes the values at the same position"
 )
-TOLERANCES = "; those with a tolerance as NAME=VALUE+-HALF_WIDTH, like delta=-0.002+-0.001 or gamma=0.64+-1% (± too)"
+TOLERANCES = (
+    "; a tolerance is written NAME=VALUE+-HALF_WIDTH, such as delta=-0.002+-0.001 or gamma=0.64+-1% (or with ±)"
+)
 
 
 def study_command(kind: str, summary: str = "") -> Command:
@@ -98,7 +100,7 @@ def _arguments(kind: str, about: Mapping[str, Any]) -> Iterator[AddArguments]:
         text = f"parameters, and friction{LISTS * about['lists']}{TOLERANCES * about['tolerances']}. Also {START}"
         for name, setting in (settings | {name: run[name] for name in about["run_settings"]}).items():
             if setting.help:
-                default = f": {setting.default:g}" if isinstance(setting.default, (int, float)) else ""
+                default = f"; default: {setting.default:g}" if isinstance(setting.default, (int, float)) else ""
                 text += f"; {name} ({setting.help}{default})"
         yield words(text.replace("%", "%%"))
     elif about["subject"] == "file":
@@ -106,7 +108,7 @@ def _arguments(kind: str, about: Mapping[str, Any]) -> Iterator[AddArguments]:
         if about["columns"]:
             yield argument("--columns", "NAME=COLUMN", about["columns"], **MANY)
     else:
-        text = "the dataset of a sweep (.nc), which is run again where it lacks what the analysis needs"
+        text = "the dataset of a sweep (.nc); the sweep is run again if the dataset lacks what the analysis needs"
         yield argument("file", "FILE", SWEEP + text)
         yield from (argument(_option(n), each.metavar or n.upper(), each.help) for n, each in settings.items())
     yield from result_options(about.get("file") or f"{'SCENE' if about['subject'] == 'machines' else 'NAME'}-{kind}.nc")
@@ -219,7 +221,7 @@ def _advise_to_go_on(options: Options, *again: str) -> None:
 
 
 @command(
-    argument("file", "FILE", SWEEP + "a sweep's dataset (.nc), whose sweep is then run again"),
+    argument("file", "FILE", SWEEP + "a sweep's dataset (.nc); its sweep is then run again"),
     *result_options("NAME-orbits.nc"),
 )
 def orbits(options: Options) -> None:
@@ -254,16 +256,18 @@ _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
 
 
 @command(
-    argument("file", "FAMILY.nc", "what vibrojax follow has made"),
+    argument("file", "FAMILY.nc", "a family written by vibrojax follow"),
     words(
-        f"{_CURVE_SYNTAX}: the second parameter and its bounds; the number of one special point of the family, from 0 "
-        "(by default all that can be continued)"
+        f"{_CURVE_SYNTAX}: the second parameter, its bounds, and the number of one special point of the family, "
+        "counted from 0 (default: all that can be continued)"
     ),
-    argument("--at", "NAME=VALUE", "locate where the curves pass this value of one of the two parameters"),
+    argument(
+        "--at", "NAME=VALUE", "also locate the points at which curves pass this value of one of the two parameters"
+    ),
     *result_options("FAMILY-NAME.nc"),
 )
 def curves(options: Options) -> None:
-    """Continue the special points of a family in a second parameter: curves, and the points where several meet."""
+    """Continue the special points of a family in a second parameter, as curves, and find where curves meet."""
     from vibrojax.io.dataset import open_dataset
     from vibrojax.studies.curve_analysis import curves_facts
     from vibrojax.studies.curves import continue_curves, read_curves
@@ -291,10 +295,10 @@ _READING = (
     argument(
         "--where",
         "CONDITION",
-        'of a rig log: rows to read, like "WOB (klb) < 35", "depth (m) >= 1200" or Formation=shale',
+        'conditions on the rows of a rig log to read, such as "WOB (klb) < 35", "depth (m) >= 1200" or Formation=shale',
         **MANY,
     ),
-    argument("--nulls", "TEXT", "of a rig log: further texts that stand for a missing value", nargs="+"),
+    argument("--nulls", "TEXT", "further texts that mark a missing value in a rig log", nargs="+"),
 )
 
 
@@ -302,20 +306,25 @@ _READING = (
     argument(
         "file",
         "FILE",
-        "a sweep's .nc, or a rig log as it is exported (CSV, LAS, WITSML, xlsx), or a CSV with columns relief (P/D, "
-        "mean force over the force at which the rock yields) and rate_of_penetration, or others that --columns names",
+        "a sweep's dataset (.nc), a rig log as exported (CSV, LAS, WITSML, xlsx), or a CSV with columns relief (P/D, "
+        "mean force over the force at which the rock yields) and rate_of_penetration, or those that --columns names",
         nargs="?",
     ),
-    argument("--along", "AXIS", "the axis to fit along (frequency, else v; of a CSV: its rows)"),
+    argument("--along", "AXIS", "axis along which rates are fitted (default: frequency, else v; for a CSV, its rows)"),
     argument(
         "--columns",
         "NAME=COLUMN",
-        "of a CSV: which column is what, in which unit, like "
-        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, like threshold="150 kN" or '
-        "rock=granite, whose threshold it takes; threshold=unknown is the default of rig logs",
+        "columns of a CSV and their units, such as "
+        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, such as threshold="150 kN" '
+        "or rock=granite (its threshold); threshold=unknown is the default for rig logs",
         **MANY,
     ),
-    argument("--by", "COLUMN", "of a CSV: fit the rows of each of its values, such as formations", action="append"),
+    argument(
+        "--by",
+        "COLUMN",
+        "column of a CSV, such as the formation; the rows of each of its values are fitted separately",
+        action="append",
+    ),
     *_READING,
     *result_options("FILE-fit.nc"),
 )
@@ -381,16 +390,16 @@ def _digest(file: Path) -> str:
 
 
 @command(
-    argument("file", "FILE", "a rig log as it is exported (CSV, LAS, WITSML, xlsx)"),
+    argument("file", "FILE", "a rig log as exported (CSV, LAS, WITSML, xlsx)"),
     argument(
         "--columns",
         "NAME=COLUMN",
-        'which column is what, or one value for all rows, like bit_diameter="8.5 in" or impact_power="12 kW"',
+        'columns of the log and their units, or one value for all rows: bit_diameter="8.5 in", impact_power="12 kW"',
         **MANY,
     ),
     *_READING,
     argument(
-        "--units", "driller|si", "of the picture and the summary: driller (m/h, rpm, kN, MPa), the default, or si"
+        "--units", "driller|si", "units of the picture and the summary: driller (m/h, rpm, kN, MPa; default) or si"
     ),
     *result_options("FILE-rig.nc"),
 )
@@ -409,8 +418,8 @@ def rig(options: Options) -> None:
 
 
 @command(
-    argument("-o", "DIR", "the folder to write to (accuracy)", dest="out", default="accuracy"),
-    flag("--quick", "few settings of two scenes, to see that it works"),
+    argument("-o", "DIR", "output folder (default: accuracy)", dest="out", default="accuracy"),
+    flag("--quick", "run only a few settings of two scenes, to test the installation"),
 )
 def accuracy(options: Options) -> None:
     """Measure speed against error on this machine: write a dataset, a table and a picture.

@@ -29,26 +29,27 @@ DEFAULT_JOBS = 10
 
 
 @command(
-    argument("sweep", "SWEEP", "a bundled name, like regime-map, or the path of a TOML file"),
-    argument("-o", "OUT.nc", "where to write (NAME.nc in this folder); .zarr too", dest="out"),
+    argument("sweep", "SWEEP", "a bundled name such as regime-map, or the path of a TOML file"),
+    argument("-o", "OUT.nc", "output file, .nc or .zarr (default: NAME.nc in this folder)", dest="out"),
     argument(
         "--set",
         "NAME=VALUE",
-        "set over the file: a parameter (a list is an axis), a key of [run], starts, scene or title; may repeat",
+        "override a value of the file: a parameter (a list becomes an axis), a key of [run], starts, scene or title; "
+        "can be repeated",
         dest="changes",
         action="append",
         default=[],
     ),
     either(
-        flag("--resume", "go on with the finished chunks beside OUT; a finished OUT is kept (the default)"),
-        flag("--fresh", "start over, and replace OUT, whatever result of vibrojax it holds"),
+        flag("--resume", "continue from the finished chunks beside OUT; keep OUT if it is complete (default)"),
+        flag("--fresh", "start over, and replace any vibrojax result in OUT"),
     ),
     argument(
         "--workers",
         "dask://HOST:PORT | slurm[:N]",
-        "compute by the workers of a dask scheduler, or by jobs of SLURM, N at a time (10)",
+        "compute on the workers of a dask scheduler, or in SLURM jobs, N at a time (default: 10)",
     ),
-    flag("--dry-run", "compute at most 256 lanes, and print lanes, memory, disk and time of the whole"),
+    flag("--dry-run", "compute at most 256 lanes, and print the lanes, memory, disk space and time of the whole sweep"),
 )
 def sweep(options: Options) -> None:
     """Run a sweep file: write a dataset with the regime of each lane, and a picture."""

@@ -28,25 +28,8 @@ from matplotlib.figure import Figure
 from vibrojax.explorer.document import Document, json_value, one_line
 from vibrojax.explorer.encoding import pack
 from vibrojax.measures.labels import REGIMES
-from vibrojax.pictures.plots import (
-    Area,
-    Axis,
-    Bars,
-    Cells,
-    Dash,
-    Layer,
-    Line,
-    Picture,
-    Places,
-    Plot,
-    Points,
-    Sheet,
-    Text,
-    as_sheet,
-    labelled_layers,
-    legend_of,
-    resolved,
-)
+from vibrojax.pictures import plots
+from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import INK, settings
 
 ITEM_MAX_POINTS = 20_000
@@ -64,7 +47,7 @@ _DASHES = {"--": (3.7, 1.6), ":": (1.0, 1.65), "-.": (6.4, 1.6, 1.0, 1.6)}
 
 
 def figure_document(
-    pictures: Sequence[Picture | Figure],
+    pictures: Sequence[plots.Picture | Figure],
     ds: xr.Dataset,
     axes: Sequence[Document],
     drawn: Sequence[str] = (),
@@ -76,14 +59,13 @@ def figure_document(
     names of the variables that the page draws over these axes itself. It also draws maps over two of them, unless
     `maps` is True.
     """
-    plots: list[Document] = []
+    panels: list[Document] = []
     keys: dict[str, Document] = {}
-    for sheet in (as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
-        for part in (sheet.above, sheet):
-            plots += _plots(part, sheet, ds, axes, drawn, maps) if part is not None else ()
+    for sheet in (plots.as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
+        panels += _plots(sheet, ds, axes, drawn, maps)
         keys = {key["text"]: key for key in _keys(sheet, drawn)} | keys
     images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
-    items = [item for plot in plots for item in plot["items"]]
+    items = [item for plot in panels for item in plot["items"]]
     colours = {colour for item in items for colour in (*item.get("colours", ()), item.get("colour", ""))}
     shapes = {item["shape"] for item in items if item["kind"] == "points"}
     # What the page draws itself has no entry here. A sign in ink stands for marks of any colour.
@@ -92,11 +74,11 @@ def figure_document(
         for key in keys.values()
         if key["shape"] == "scale" or key["colour"] in colours or (key["colour"] == INK and key["shape"] in shapes)
     ]
-    return {"plots": plots, "keys": shown, "images": images}
+    return {"plots": panels, "keys": shown, "images": images}
 
 
 def _plots(
-    part: Sheet, whole: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str], maps: bool
+    sheet: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str], maps: bool
 ) -> Iterator[Document]:
     columns = {
         column["name"]: f"{axis['name']}:{column['name']}" if axis["columns"] else axis["name"]
@@ -106,32 +88,31 @@ def _plots(
     directions = {n: way for n, way in columns.items() if n in ds.variables and (maps or ds[n].dtype.kind in "fiu")}
     titles: dict[int, str] = {}
     # In a picture, panels share the labels at the left and at the bottom; on the page each has its own.
-    ups = {plot.span[0]: plot.y.label for plot in reversed(part.plots) if plot.y.label and plot.y.ticks is None}
-    acrosses = {plot.span[1]: plot.x.label for plot in part.plots if plot.x.label and plot.x.ticks is None}
+    ups = {(plot.span[0], plot.y.group): plot.y.label for plot in reversed(sheet.plots) if plot.y.label}
+    acrosses = {(plot.span[1], plot.x.group): plot.x.label for plot in sheet.plots if plot.x.label}
     beside: str | None = None
-    height = part.size[1] - (part.above.size[1] if part.above else 0.0)
-    for plot in resolved(part.plots):
+    for plot in plots.resolved(sheet.plots):
         x, y = directions.get(plot.x.name), directions.get(plot.y.name)
-        row, column, deep, wide = (*plot.place, 1, 1)[:4]
+        row, column, deep, wide = plot.span
         titles.setdefault(row, plot.title)
         if not plot.layers or (x and ((y and not maps) or plot.y.name in drawn)):
             continue
-        title = plot.title or plot.name or titles[row] or ("" if plot.x.label or plot.y.label else whole.title)
+        title = plot.title or plot.name or titles[row] or ("" if plot.x.label or plot.y.label else sheet.title)
         at = {
             name: int(indices[0])
             for name in (axis["name"] for axis in axes if axis["name"] in plot.at and axis["name"] in ds.coords)
             if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
         }
-        share = sum(part.widths[column : column + wide]) / sum(part.widths)
-        track, title = len(part.widths) > 3 and share < TRACK_SHARE, _plain(title)
+        share = sum(sheet.widths[column : column + wide]) / sum(sheet.widths)
+        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(title)
         bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
             "title": title,
-            "x": _axis(plot.x, x, acrosses.get(column, "")),
-            "y": _axis(plot.y, y, ups.get(row, "")),
+            "x": _axis(plot.x, x, acrosses.get((column, plot.x.group), "")),
+            "y": _axis(plot.y, y, ups.get((row, plot.y.group), "")),
             "at": at,
             "wide": bool(share >= WIDE_SHARE),
-            "low": bool(height * sum(part.heights[row : row + deep]) / sum(part.heights) < LOW_INCHES),
+            "low": bool(sheet.size[1] * sum(sheet.heights[row : row + deep]) / sum(sheet.heights) < LOW_INCHES),
             "square": plot.square,
             "track": track,
             "bare": bare,
@@ -151,7 +132,7 @@ def _plain(text: str) -> str:
     return one_line(" ".join(text.split()), LABEL_MAX_CHARACTERS)
 
 
-def _axis(axis: Axis, direction: str | None, shared: str) -> Document:
+def _axis(axis: plots.Axis, direction: str | None, shared: str) -> Document:
     ticks = None if axis.ticks is None else [[json_value(float(x)), _plain(text)] for x, text in axis.ticks]
     return {
         "label": _plain(axis.label or (shared if axis.ticks is None else "")),
@@ -169,7 +150,7 @@ def items_of(plot: Plot) -> list[Document]:
     return [item for layer in layers for item in _items(layer, plot)]
 
 
-def _xy(plot: Plot, x: Places, y: Places) -> Document:
+def _xy(plot: Plot, x: plots.Places, y: plots.Places) -> Document:
     """Return places, at most `ITEM_MAX_POINTS`; an infinite coordinate becomes the end of the axis."""
     item = {}
     pairs = np.broadcast_arrays(np.atleast_1d(np.asarray(x, float)), np.atleast_1d(np.asarray(y, float)))
@@ -184,25 +165,25 @@ def _step(values: np.ndarray) -> int:
     return max(1, -(-len(values) // ITEM_MAX_POINTS))
 
 
-def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
+def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
     """Yield the descriptions of a layer."""
-    about = {"label": "" if isinstance(layer, Cells) else _plain(layer.label)}
-    if isinstance(layer, Line | Points) and np.size(layer.x):
+    about = {"label": "" if isinstance(layer, plots.Cells | plots.Text) else _plain(layer.label)}
+    if isinstance(layer, plots.Line | plots.Points) and np.size(layer.x):
         points = _xy(plot, layer.x, layer.y)
         step = _step(np.broadcast_arrays(np.atleast_1d(layer.x), layer.y)[0])
-        hollow = isinstance(layer, Line) and layer.face in ("none", "white")
-        if isinstance(layer, Line):
+        hollow = isinstance(layer, plots.Line) and layer.face in ("none", "white")
+        if isinstance(layer, plots.Line):
             if layer.dash:
                 look = {"colour": to_hex(layer.colour), "width": layer.width, "dash": _dash(layer.dash, layer.width)}
                 yield {"kind": "line", **about, **points, **look}
             colour = layer.colour if hollow else layer.face or layer.colour
-            layer = Points(layer.x, layer.y, colour, layer.size, layer.marker)
+            layer = plots.Points(layer.x, layer.y, colour, layer.size, layer.marker)
         if layer.marker:
             colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
             sizes = [json_value(float(f"{size / 2:.3g}")) for size in np.atleast_1d(layer.sizes)[::step]]
             look = {"colours": [to_hex(colour) for colour in colours], "sizes": sizes, "hollow": hollow}
             yield {"kind": "points", **about, **points, **look, "shape": layer.marker}
-    elif isinstance(layer, Bars):
+    elif isinstance(layer, plots.Bars):
         sides = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
         colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)
         level = plot.y.ticks is not None and plot.x.ticks is None
@@ -211,7 +192,7 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
             tip = _xy(plot, [x + width / (2 - level)], [y + height / (1 + level)])
             look = {"colour": "hatched" if layer.hatch else to_hex(colours[k % len(colours)]), "alpha": 1.0}
             yield {"kind": "area", **about, **corners, **look, "at": [tip["x"][0], tip["y"][0]]}
-    elif isinstance(layer, Area):
+    elif isinstance(layer, plots.Area):
         x, low, high = (np.atleast_1d(np.asarray(values, float)) for values in (layer.x, layer.low, layer.high))
         if layer.step:
             x, low, high = np.repeat(x, 2)[1:], np.repeat(low, 2)[:-1], np.repeat(high, 2)[:-1]
@@ -222,7 +203,7 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
                 place = _xy(plot, np.append(x[part], x[part][::-1]), np.append(low[part], high[part][::-1]))
                 colour = "hatched" if layer.hatch else to_hex(layer.colour)
                 yield {"kind": "area", **about, **place, "colour": colour, "alpha": layer.alpha}
-    elif isinstance(layer, Cells):
+    elif isinstance(layer, plots.Cells):
         rgba = layer.colour_map(layer.norm(np.ma.masked_invalid(layer.values))).reshape(-1, 4)
         palette, indices = np.unique((rgba * 255).round().astype(int), axis=0, return_inverse=True)
         indices = np.where(np.isnan(layer.values).ravel() | (rgba[:, 3] == 0), -1, indices.ravel())
@@ -232,7 +213,7 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
         values = [json_value(float(f"{value:.5g}")) for value in layer.values.ravel().tolist()]
         packed = {"colours": names, "data": pack(indices.astype(np.int32)), "hatched": layer.hatched}
         yield {"kind": "cells", **ends, **packed, "values": values, "names": texts}
-    elif isinstance(layer, Text):
+    elif isinstance(layer, plots.Text):
         places = [layer.x, layer.y]
         for k, axis in enumerate((plot.x, plot.y) if layer.relative else ()):
             share = 1 - places[k] if axis.reversed else places[k]
@@ -248,34 +229,29 @@ def _items(layer: Layer, plot: Plot) -> Iterator[Document]:
         }
 
 
-def _dash(dash: Dash, width: float) -> list[float]:
+def _dash(dash: plots.Dash, width: float) -> list[float]:
     lengths = _DASHES.get(dash, ()) if isinstance(dash, str) else dash[1]
     return [round(1.3 * width * float(x), 3) for x in lengths]
 
 
 def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
     """Yield the entries of the legends, and those of colour bars that the page does not draw itself."""
-    every = [plot for part in (sheet.above, sheet) if part is not None for plot in part.plots]
-    for value in {id(plot.scale): plot.scale for plot in every if plot.scale is not None}.values():
+    for value in {id(plot.scale): plot.scale for plot in sheet.plots if plot.scale is not None}.values():
         if value.name not in drawn and not value.names:
             low, high = (f"{x:.3g}".replace("-", "−") for x in (value.norm.vmin, value.norm.vmax))
             colours = [to_hex(value.colour_map(level)) for level in np.linspace(0.0, 1.0, 9)]
             text = _plain(value.label)
             text = f"{text}: {low} to {high}" if text else f"{low} to {high}"
             yield {"text": text, "shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
-    own = [layer for plot in every if plot.keys for layer in labelled_layers(plot)]
-    for layer in (*own, *(layer for group in legend_of(sheet) for layer in group)):
-        if isinstance(layer, Cells | Text):
+    own = [entry for plot in sheet.plots if plot.keys for entry in plots.labelled_layers(plot)]
+    for entry in (*own, *(entry for group in plots.legend_of(sheet) for entry in group)):
+        key: dict[str, Any] = {"text": _plain(entry.label), "dash": [], "hollow": False}
+        if isinstance(entry, plots.Area):
+            yield key | {"shape": "patch", "colour": "hatched" if entry.hatch else to_hex(entry.colour)}
             continue
-        key: dict[str, Any] = {"text": _plain(layer.label), "dash": []}
-        if isinstance(layer, Line):
-            dash = _dash(layer.dash, layer.width) if layer.dash else []
-            marker = {"marker": layer.marker} if layer.dash and layer.marker else {}
-            look = {"shape": "line" if layer.dash else layer.marker or "o", "dash": dash}
-            yield key | look | marker | {"colour": to_hex(layer.colour), "hollow": layer.face in ("none", "white")}
-        else:
-            own_colours = layer.colour if isinstance(layer, Area) else layer.colours
-            colour = own_colours if isinstance(own_colours, str) else own_colours[0]
-            hatched = not isinstance(layer, Points) and bool(layer.hatch)
-            shape = layer.marker if isinstance(layer, Points) else "patch"
-            yield key | {"shape": shape, "colour": "hatched" if hatched else to_hex(colour), "hollow": False}
+        key |= {"colour": to_hex(entry.colour), "hollow": entry.face in ("none", "white")}
+        if not entry.dash:
+            yield key | {"shape": entry.marker or "o"}
+            continue
+        marker = {"marker": entry.marker} if entry.marker else {}
+        yield key | {"shape": "line", "dash": _dash(entry.dash, entry.width)} | marker

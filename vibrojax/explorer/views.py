@@ -12,19 +12,8 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.explorer.document import (
-    BORDER_MEANINGS,
-    REGIME_MEANINGS,
-    Document,
-    check_names,
-    command_seconds,
-    coordinate_document,
-    document_with,
-    one_line,
-    options_of,
-    run_document,
-    variable_document,
-)
+from vibrojax.explorer import document
+from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
 from vibrojax.explorer.plots_view import figure_document
@@ -38,19 +27,9 @@ from vibrojax.maps.rerun import at_coordinates, has_lanes_of, rerun_problem, swe
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.periodic.measuring import DRIVEN_RETURNS
+from vibrojax.pictures import branches
 from vibrojax.pictures.axes import symbols_of
-from vibrojax.pictures.branches import (
-    MARKS,
-    along_name,
-    branches,
-    family_coordinates,
-    kind_names,
-    mark_of,
-    places,
-    runs,
-    stability,
-    with_selected_families,
-)
+from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.contents import FORM, START, long_axes
 from vibrojax.pictures.overlays import axes_of
 from vibrojax.pictures.starts import described
@@ -93,32 +72,32 @@ def contents_of(
             raise InputError(f"explore: the sweep of the borders is not run again: {reason}")
         over, ds = ds, run_sweep(sweep, progress=progress)
         view = analysis_of(ds).view_of(ds)
-    check_names(ds)
+    document.check_names(ds)
     if over is not None:
         if view in ("families", "orbits", "motion", "plots"):
             raise InputError("over: borders and curves need the map of a sweep, which the dataset does not hold")
         check_dataset(over)
     cells: Iterable[Cell] = ()
     if view == "motion":
-        document, cells = _motion_document(ds), map(cell_of, [ds], [0])
+        page, cells = _motion_document(ds), map(cell_of, [ds], [0])
     elif view == "families":
-        ds = with_selected_families(ds)
-        document, cells = family_document(ds), orbit_cells(ds)
-        document["figure"] = _picture_document(ds, document)
+        ds = branches.with_selected_families(ds)
+        page, cells = family_document(ds), orbit_cells(ds)
+        page["figure"] = _picture_document(ds, page)
     elif view == "orbits" and text_of(ds, "scene") in SCENES:
-        document, cells = curves_document(ds), orbit_cells(ds)
+        page, cells = curves_document(ds), orbit_cells(ds)
     elif (held := analysis_of(ds).page_cells(ds)) is not None:
-        document = map_document(*held)
-        document["figure"] = figure_document(analysis_of(ds).page_figures(ds), held[0], document["axes"], maps=True)
+        page = map_document(*held)
+        page["figure"] = figure_document(analysis_of(ds).page_figures(ds), held[0], page["axes"], maps=True)
         if held[1] is None:
-            document["map"] = False
+            page["map"] = False
         else:
-            document["without"] = _rerun_problem(held[1])
+            page["without"] = _rerun_problem(held[1])
             cells = lane_cells(held[1], progress)
     else:
-        document, cells = _map_contents(ds, over, own, progress) if view not in ("plots", "orbits") else ({}, ())
-        document = document or _plots_document(ds)
-    return Contents(ds, document | {"summary": summary_parts(ds)}, cells)
+        page, cells = _map_contents(ds, over, own, progress) if view not in ("plots", "orbits") else ({}, ())
+        page = page or _plots_document(ds)
+    return Contents(ds, page | {"summary": summary_parts(ds)}, cells)
 
 
 def _map_contents(
@@ -126,35 +105,35 @@ def _map_contents(
 ) -> tuple[Document, Iterable[Cell]]:
     """Return the document and the motions of a dataset over axes; the document is empty if no variable can be shown."""
     sweep, problem = sweep_of(ds, own)
-    document = map_document(ds, sweep)
+    page = map_document(ds, sweep)
     if sweep is not None:
         others = "the dataset holds other lanes than the sweep that it names, and therefore no motions"
         problem = _rerun_problem(sweep) if has_lanes_of(ds, sweep) else others
     cells = lane_cells(sweep, progress) if sweep is not None and not problem else ()
-    if document:
-        document |= {"without": problem} | (overlay_document(ds, over) if over is not None else {})
+    if page:
+        page |= {"without": problem} | (overlay_document(ds, over) if over is not None else {})
         # A map over two parameters is drawn by the page; what else the picture shows is added.
         is_map = len(long_axes(ds)) >= 2 and kind_of(ds) == "sweep"
-        document["figure"] = None if is_map else _picture_document(ds, document)
-    return document, cells
+        page["figure"] = None if is_map else _picture_document(ds, page)
+    return page, cells
 
 
-def _picture_document(ds: xr.Dataset, document: Document) -> Document | None:
+def _picture_document(ds: xr.Dataset, page: Document) -> Document | None:
     """Return the description of the dataset's picture without what the page draws itself; None without a picture.
 
     The page of a dataset that its picture does not fit is complete without it.
     """
-    drawn = [document["variables"][0]["name"]]
+    drawn = [page["variables"][0]["name"]]
     try:
         figure = figure_document(
-            analysis_of(ds).page_figures(ds), described(ds) if START in ds.dims else ds, document["axes"], drawn
+            analysis_of(ds).page_figures(ds), described(ds) if START in ds.dims else ds, page["axes"], drawn
         )
     except Exception as error:
         LOG.info("explore: no picture: %s", error)
         return None
     # The legend of the map has these.
-    known = set(REGIME_MEANINGS) if drawn == ["regime"] else set()
-    known = {"stable", "unstable", *BORDER_MEANINGS} if document["kind"] == "family" else known
+    known = set(document.REGIME_MEANINGS) if drawn == ["regime"] else set()
+    known = {"stable", "unstable", *document.BORDER_MEANINGS} if page["kind"] == "family" else known
     figure["keys"] = [key for key in figure["keys"] if key["text"].split(" ")[0] not in known]
     return figure if figure["plots"] or figure["images"] else None
 
@@ -168,13 +147,13 @@ def _plots_document(ds: xr.Dataset) -> Document:
         figure = figure_document(analysis_of(ds).page_figures(ds), ds, [])
     except InputError as error:
         raise InputError(f"explore: {error}") from None
-    return document_with(ds, "plots", _numbers(ds), figure=figure, without="")
+    return document.document_with(ds, "plots", _numbers(ds), figure=figure, without="")
 
 
 def _numbers(ds: xr.Dataset) -> list[Document]:
     """Return the descriptions of the variables without an axis."""
     numbers = [data for data in ds.data_vars.values() if data.ndim == 0 and data.dtype.kind in "fiu"]
-    return [variable_document(data) | {"map": None} for data in numbers]
+    return [document.variable_document(data) | {"map": None} for data in numbers]
 
 
 def _motion_document(ds: xr.Dataset) -> Document:
@@ -183,9 +162,9 @@ def _motion_document(ds: xr.Dataset) -> Document:
         raise InputError("explore: the motion has no samples")
     if any(np.isinf(data.values).any() for data in ds.data_vars.values() if data.dtype.kind == "f"):
         raise InputError("explore: the motion has values that are not finite")
-    run = run_document(ds) | {"duration": command_seconds(float(ds["time"][-1]))}
+    run = document.run_document(ds) | {"duration": document.command_seconds(float(ds["time"][-1]))}
     lanes = pack(np.zeros(1, np.int32)) | {"axes": []}
-    return document_with(ds, "motion", _numbers(ds), lanes=lanes, run=run, history=_history(ds))
+    return document.document_with(ds, "motion", _numbers(ds), lanes=lanes, run=run, history=_history(ds))
 
 
 def _history(ds: xr.Dataset) -> Document:
@@ -201,8 +180,8 @@ def _history(ds: xr.Dataset) -> Document:
         columns.append(
             {
                 "name": str(name),
-                "units": one_line(data.attrs.get("units", "")),
-                "long_name": one_line(data.attrs.get("long_name", "")) or str(name),
+                "units": document.one_line(data.attrs.get("units", "")),
+                "long_name": document.one_line(data.attrs.get("long_name", "")) or str(name),
                 "data": pack(values[np.ravel(extremes)].astype(float)),
             }
         )
@@ -220,7 +199,8 @@ def summary_parts(ds: xr.Dataset) -> list[Document]:
     greek = {name: sign for name, sign in symbols_of(ds).items() if len(sign) == 1 and not sign.isascii()}
     names = re.compile(rf"\b({'|'.join(greek) or '(?!)'})\b")
     lines = {
-        part.name: [names.sub(lambda name: greek[name[0]], one_line(line)) for line in part.lines] for part in parts
+        part.name: [names.sub(lambda name: greek[name[0]], document.one_line(line)) for line in part.lines]
+        for part in parts
     }
     return [{"name": name, "lines": text[:200]} for name, text in lines.items() if text]
 
@@ -265,42 +245,42 @@ def family_document(ds: xr.Dataset) -> Document:
     # The middle of the longest stable stretch, or of the longest one if none is stable.
     longest = max(family["runs"], key=lambda run: (run["stable"] == 1, len(run["points"])), default={"points": [0]})
     middle = int(longest["points"][len(longest["points"]) // 2])
-    return _orbits_document(ds, family=family, view=[f"point:{along_name(ds)}"], first={"point": middle})
+    return _orbits_document(ds, family=family, view=[f"point:{branches.along_name(ds)}"], first={"point": middle})
 
 
 def curves_document(ds: xr.Dataset) -> Document:
     """Return the JSON document of curves of special points; each point is the orbit at which the motion changes."""
     kinds = flags(ds["kind"])
     names = [f"{k} ({kinds[int(ds['kind'][k])]})" for k in ds["point_curve"].values.tolist()]
-    curve = coordinate_document(xr.DataArray(names, dims="point", name="curve"))
-    document = _orbits_document(ds, [curve], map=False, first={"point": int((ds["point_curve"] == 0).sum()) // 2})
-    document["figure"] = figure_document(analysis_of(ds).page_figures(ds), ds, document["axes"], maps=True)
-    return document
+    curve = document.coordinate_document(xr.DataArray(names, dims="point", name="curve"))
+    page = _orbits_document(ds, [curve], map=False, first={"point": int((ds["point_curve"] == 0).sum()) // 2})
+    page["figure"] = figure_document(analysis_of(ds).page_figures(ds), ds, page["axes"], maps=True)
+    return page
 
 
 def _orbits_document(ds: xr.Dataset, names: Sequence[Document] = (), **parts: object) -> Document:
     """Return the JSON document of periodic orbits along `point`; `names`: descriptions of columns of names."""
     point, count, varied = _base_point(ds), ds.sizes["point"], _varied(ds)
     columns = [
-        coordinate_document(xr.DataArray(values, dims="point", name=name, attrs=ds[name].attrs))
+        document.coordinate_document(xr.DataArray(values, dims="point", name=name, attrs=ds[name].attrs))
         for name, values in varied.items()
     ]
     for name in point.system.start_states:
         values = ds[orbit_name(name)].values if orbit_name(name) in ds else np.zeros(count)
         column = xr.DataArray(values, dims="point", name=f"start_{name}")
-        columns.append(coordinate_document(column) | {"silent": True})
+        columns.append(document.coordinate_document(column) | {"silent": True})
     of_points = [str(name) for name, data in ds.data_vars.items() if "point" in data.dims and data.dtype.kind in "fiu"]
     of_points = [name for name in of_points if name not in varied and not name.startswith("point_")]
     of_points = [name for name in LEADING_ORBIT_VARIABLES if name in of_points] + of_points
-    axis = coordinate_document(xr.DataArray(np.arange(count), dims="point", name="point"))
+    axis = document.coordinate_document(xr.DataArray(np.arange(count), dims="point", name="point"))
     # The command starts on the orbit, so no settling time is needed.
-    run = run_document(ds) | {"start": None, "duration": 2.0}
+    run = document.run_document(ds) | {"start": None, "duration": 2.0}
     if point.system.driving_part() is not point.system:
         run["states"] = []
-    return document_with(
+    return document.document_with(
         ds,
         "family",
-        [variable_document(ds[name]) for name in dict.fromkeys(of_points)],
+        [document.variable_document(ds[name]) for name in dict.fromkeys(of_points)],
         axes=[axis | {"columns": [*columns, *names]}],
         lanes=pack(np.arange(count, dtype=np.int32)) | {"axes": ["point"]},
         run=run,
@@ -312,22 +292,22 @@ def _varied(ds: xr.Dataset) -> dict[str, np.ndarray]:
     """Return the parameters that vary along families or curves of orbits: their values at each point by name."""
     if kind_of(ds) == "curves":
         return {name: ds[name].values for name in axes_of(ds)}
-    return {along_name(ds): ds[along_name(ds)].values} | family_coordinates(ds, "point")
+    return {branches.along_name(ds): ds[branches.along_name(ds)].values} | branches.family_coordinates(ds, "point")
 
 
 def _branches(ds: xr.Dataset) -> Document:
     """Return the branches, split where their stability changes, and the special points on them."""
     stretches: list[Document] = []
     special: list[Document] = []
-    kinds, notes = kind_names(ds), ds["special_note"].values.tolist()
-    for branch in branches(ds):
-        for first, last, stable in runs(stability(ds, branch)):
+    kinds, notes = branches.kind_names(ds), ds["special_note"].values.tolist()
+    for branch in branches.branches(ds):
+        for first, last, stable in branches.runs(branches.stability(ds, branch)):
             points = branch.points[first : last + 1].tolist()
             stretches.append({"colour": branch.colour, "stable": stable, "points": points})
-        for index, place in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
-            look = {"shape": str(mark_of(kinds[index])["marker"]), "note": one_line(notes[index])}
+        for index, place in zip(branch.special.tolist(), branches.places(ds, branch).tolist(), strict=True):
+            look = {"shape": str(branches.mark_of(kinds[index])["marker"]), "note": document.one_line(notes[index])}
             special.append({"kind": kinds[index], "point": place} | look)
-    colours = {name: mark_of(name)["colour"] for name in (*MARKS, *kinds)}
+    colours = {name: branches.mark_of(name)["colour"] for name in (*MARKS, *kinds)}
     return {"runs": stretches, "special": special, "kinds": colours}
 
 
@@ -354,5 +334,5 @@ def orbit_cells(ds: xr.Dataset) -> Iterator[Cell]:
 
 def _base_point(ds: xr.Dataset) -> Point:
     """Return the parameter point with the values that all points share."""
-    fixed: dict[str, Any] = {**parameters_of(ds), **options_of(ds)}
+    fixed: dict[str, Any] = {**parameters_of(ds), **document.options_of(ds)}
     return read_point(Place("explore"), text_of(ds, "scene"), fixed)

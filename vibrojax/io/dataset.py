@@ -24,8 +24,7 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 
     **Arguments:**
 
-    - `path`: path of the netCDF file or Zarr store. Attributes, names, coordinates and flags are checked, since the
-      file may come from any source.
+    - `path`: path of the netCDF file or Zarr store. Attributes, names, coordinates and flags are checked.
 
     **Returns:** the dataset, in memory. Variables of a dataset above 256 MB are read when they are used, and in parts
     by dask if dask is installed.

@@ -83,45 +83,45 @@ BORDER_KINDS = (*SPECIAL_KINDS[:8], "basin", "not-settled")
 leads to an existing orbit."""
 
 OF_FAMILIES: dict[str, Variable] = {
-    "branch": Variable("1", "branch of the family, 0 the one that it begins with", np.int32),
+    "branch": Variable("1", "number of the branch; 0: the family's first", np.int32),
     "special_kind": Variable("1", "kind of the special point", np.int8, SPECIAL_KINDS),
     "special_value": Variable("of the parameter", "value of the parameter at the special point"),
-    "special_branch": Variable("1", "branch of the special point", np.int32),
-    "special_note": Variable("", "what there is to say", np.str_),
-    "point_family": Variable("1", "number of the family", np.int32),
-    "special_family": Variable("1", "number of the family", np.int32),
+    "special_branch": Variable("1", "number of the branch on which the special point lies", np.int32),
+    "special_note": Variable("", "remarks on the special point", np.str_),
+    "point_family": Variable("1", "number of the family to which the point belongs", np.int32),
+    "special_family": Variable("1", "number of the family to which the special point belongs", np.int32),
 }
 """Variables in addition to those of orbits and measures; the last two exist only for several families."""
 
 OF_BORDERS: dict[str, Variable] = {
-    "curve": Variable("1", "number of the curve", np.int32),
-    "kind": Variable("1", "what ends the region there", np.int8, BORDER_KINDS),
+    "curve": Variable("1", "number of the curve on which the vertex lies", np.int32),
+    "kind": Variable("1", "why the region of the stable single impact ends at this curve", np.int8, BORDER_KINDS),
     "region_area": Variable("1", "share of the plane with a stable single impact"),
-    "continued": Variable("1", "1: part of a curve that was continued; 0: joins points between grid points", np.int8),
+    "continued": Variable("1", "1: computed by continuation; 0: joins points located between grid points", np.int8),
     "curve_note": Variable("", "where and why the curve ends, or why the border was not continued", np.str_),
-    "crossing_curve": Variable("1", "number of the curve that crosses the line", np.int32),
+    "crossing_curve": Variable("1", "number of the curve that passes the given value", np.int32),
 }
 
 OF_CURVES: dict[str, Variable] = {
-    "point_curve": Variable("1", "number of the curve", np.int32),
-    "kind": Variable("1", "kind of the special point that is continued", np.int8, SPECIAL_KINDS),
-    "special": Variable("1", "index of the special point in the family; -1: the curve begins elsewhere", np.int32),
+    "point_curve": Variable("1", "number of the curve on which the point lies", np.int32),
+    "kind": Variable("1", "kind of the special points that the curve consists of", np.int8, SPECIAL_KINDS),
+    "special": Variable(
+        "1", "index of the family's special point at which the curve begins; -1: it begins elsewhere", np.int32
+    ),
     "curve_note": Variable("", "where and why the curve ends", np.str_),
     "codim2_kind": Variable("", "name of the point of codimension two", np.str_),
-    "codim2_curve": Variable("1", "number of the curve on which the point is", np.int32),
-    "crossing_curve": Variable("1", "number of the curve that crosses the line", np.int32),
+    "codim2_curve": Variable("1", "number of the curve on which the point lies", np.int32),
+    "crossing_curve": Variable("1", "number of the curve that passes the given value", np.int32),
 }
 """Variables in addition to those of orbits."""
 
 OF_ATTRACTORS: dict[str, Variable] = {
-    "share": Variable("1", "share of the starts that end in the attractor"),
-    "share_stderr": Variable("1", "standard error of share, binomial"),
-    "unassigned": Variable("1", "starts of which no attractor could be told", np.int32),
-    "lane_attractor": Variable("1", "number of the attractor that the lane ends in; -1: none could be told", np.int32),
-    "named_attractor": Variable(
-        "1", "number of the attractor that the start of this name leads to; -1: none", np.int32
-    ),
-    "named_regime": Variable("1", "regime that the start of this name leads to", np.int8, REGIMES),
+    "share": Variable("1", "share of the starts that lead to the attractor"),
+    "share_stderr": Variable("1", "binomial standard error of share"),
+    "unassigned": Variable("1", "number of starts without a known attractor", np.int32),
+    "lane_attractor": Variable("1", "number of the attractor in which the lane ends; -1: unknown", np.int32),
+    "named_attractor": Variable("1", "number of the attractor to which the named start leads; -1: unknown", np.int32),
+    "named_regime": Variable("1", "regime to which the named start leads", np.int8, REGIMES),
 }
 
 

@@ -118,7 +118,7 @@ def check_store(path: Path) -> None:
         if file.is_symlink() or not (file.is_file() or file.is_dir()):
             raise InputError(f"{path}: {shown(file.name)} is a link or a device; a store has files and folders only")
         if file.name == FORMAT_3:
-            raise InputError(f"{path}: is a Zarr store of format 3; datasets of this package have format 2")
+            raise InputError(f"{path}: is a Zarr store of format 3; write it with zarr_format=2")
     try:
         entries = json.loads(read_regular(path / METADATA, LARGEST_METADATA))["metadata"].items()
         arrays = {key.removesuffix("/.zarray"): {**about} for key, about in entries if key.endswith(".zarray")}

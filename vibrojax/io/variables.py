@@ -14,8 +14,8 @@ class Variable:
     - `units`, `long_name`: CF attributes.
     - `dtype`: data type of the stored values.
     - `flags`: the meanings of the values 0, 1, ..., or of `first_flag` and the following integers.
-    - `along`: the dimension in addition to the sweep's dimensions, "" if there is none.
-    - `dims`: the dimensions in datasets of one analysis, which need not be given with the values then.
+    - `along`: a dimension in addition to the sweep's dimensions; "": none.
+    - `dims`: all dimensions, if they are the same in every dataset; values are then given without dimensions.
     - `notes`: further attributes by name, such as a definition.
 
     **Example:**
@@ -115,27 +115,27 @@ def orbit_name(state: str) -> str:
 
 VARIABLES: dict[str, Variable] = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
-    "check_regime": Variable("1", "regime found by the coarser run that errors are estimated with", np.int8, REGIMES),
+    "check_regime": Variable("1", "regime in the coarser run from which errors are estimated", np.int8, REGIMES),
     "hidden_motion": Variable(
         "1",
-        "whether another start of the point ends in another motion under the same label",
+        "whether another start at this point leads to another motion of the same regime",
         np.int8,
         ("none", "another"),
     ),
     "period": Variable("s", "period"),
     "cycles": Variable("1", "returns after which the motion repeats (0: it does not)", np.int8),
-    "returns": Variable("1", "returns to the section that were observed", np.int32),
-    "impacts": Variable("1", "impacts in those cycles together (cycles 0: per return)"),
+    "returns": Variable("1", "number of observed returns to the section", np.int32),
+    "impacts": Variable("1", "impacts in one repeat of the motion (per return if cycles is 0)"),
     "impact_velocity": Variable("m s-1", "impact velocity"),
     "impact_velocity_min": Variable("m s-1", "least impact velocity"),
     "impact_velocity_max": Variable("m s-1", "greatest impact velocity"),
     "bit_velocity_at_impact": Variable("m s-1", "sliding velocity of the bit at impact"),
-    "impact_phase": Variable("rad", "phase of impacts within the return in which they fall"),
+    "impact_phase": Variable("rad", "mean phase of the impacts within their return, 0 at the section"),
     "impact_energy": Variable("J", "impact energy"),
     "impact_power": Variable(
         "W",
         "mean power of the impacts",
-        notes={"definition": "impact_energy impacts/(cycles period); 0 without impacts, none if cycles is 0"},
+        notes={"definition": "impact_energy impacts/(cycles period); 0 without impacts, NaN if cycles is 0"},
     ),
     "blow_frequency": Variable("min-1", "impacts per minute"),
     "peak_impact_force": Variable("N", "greatest contact force"),
@@ -150,54 +150,59 @@ VARIABLES: dict[str, Variable] = {
             "the mean of a periodic motion is the drive speed v"
         },
     ),
-    "bit_amplitude": Variable("m", "half the swing of the bit"),
-    "striker_amplitude": Variable("m", "half the swing of the striker"),
+    "bit_amplitude": Variable("m", "half the peak-to-peak range of the bit"),
+    "striker_amplitude": Variable("m", "half the peak-to-peak range of the striker"),
     "striker_turns": Variable("1", "turns of the striker from forward to backward per return"),
-    "phase_lag": Variable("rad", "lag of the striker's fundamental behind the bit's"),
-    "settling_time": Variable("s", "time of the last return that differs from its repeat by over 1 %"),
+    "phase_lag": Variable("rad", "phase lag of the striker's fundamental oscillation behind the bit's"),
+    "settling_time": Variable("s", "time of the last return that did not yet repeat within 1 %"),
     "drive_power": Variable("W", "mean power of the drive"),
-    "error_estimate": Variable("1", "estimated relative error of the settled period and impact velocity, the larger"),
-    "drift_estimate": Variable("1", "relative distance of period, impact velocity and swings from where they settle"),
+    "error_estimate": Variable("1", "larger of the estimated relative errors of settled period and impact velocity"),
+    "drift_estimate": Variable("1", "relative distance of period, impact velocity and amplitudes from settled values"),
     "sensitive": Variable("1", "1 if rounding decides which attractor the lane reaches, else 0", np.int8),
     "status": Variable("1", "whether the lane was computed", np.int8, STATUSES),
     "reason": Variable("1", "why a lane failed or was refused", np.int8, REASONS),
     "rate_of_penetration": Variable("m s-1", "rate of penetration"),
     "mean_force": Variable("N", "mean force on the bit, P"),
     "relief": Variable("1", "mean force over threshold, P/D"),
-    "slip_per_impact": Variable("m", "growth of the hole per impact (per pulse under a given force)"),
+    "slip_per_impact": Variable("m", "growth of the hole per impact (per pulse under a prescribed force)"),
     "specific_energy": Variable(
         "J m-3",
         "impact energy per volume of the hole",
-        notes={
-            "definition": "impact_power/(pi bit_radius^2 rate_of_penetration); none where nothing penetrates, or if "
-            "cycles is 0"
-        },
+        notes={"definition": "impact_power/(pi bit_radius^2 rate_of_penetration); NaN if cycles or the rate is 0"},
     ),
-    "deepest_gap": Variable("m", "deepest gap between bit and rock (negative: how far the bit jumps off)"),
-    "multiplier_abs": Variable("1", "modulus of the orbit's multipliers, falling", along="multiplier"),
+    "deepest_gap": Variable("m", "greatest gap between bit and rock (as a negative value)"),
+    "multiplier_abs": Variable("1", "modulus of the orbit's multipliers, in decreasing order", along="multiplier"),
     "multiplier_arg": Variable("rad", "argument of the orbit's multipliers, 0 to pi", along="multiplier"),
-    "eigenvalue_re": Variable("s-1", "real part of the equilibrium's eigenvalues, falling", along="eigenvalue"),
+    "eigenvalue_re": Variable(
+        "s-1", "real part of the equilibrium's eigenvalues, in decreasing order", along="eigenvalue"
+    ),
     "eigenvalue_im": Variable("s-1", "imaginary part of the equilibrium's eigenvalues", along="eigenvalue"),
     "stable": Variable("1", "whether all multipliers are inside the unit circle", np.int8, STABILITIES, -1),
-    "orbit_residual": Variable("1", "greatest return - state of the orbit, over the scales of labels"),
-    "grazing_margin": Variable("1", "how far the order of events along the orbit is from changing"),
+    "orbit_residual": Variable("1", "largest error of the orbit as a fixed point of the return map, in scaled states"),
+    "grazing_margin": Variable("1", "distance of the orbit from a change in the order of its events"),
     "orbit_cycles": Variable(
-        "1", "returns after which the orbit itself repeats (a lane may still be on its way)", np.int8
+        "1", "returns after which the orbit repeats (fewer than cycles if the lane still settles)", np.int8
     ),
-    "orbit_reason": Variable("1", "what became of the search for the orbit", np.int8, ORBIT_REASONS),
+    "orbit_reason": Variable("1", "result of the search for the orbit", np.int8, ORBIT_REASONS),
     "nearby_cycles": Variable(
-        "1", "returns of a stable orbit near a lane that has not settled (0: none was found)", np.int8
+        "1", "number of returns after which a stable orbit near an unsettled lane repeats (0: none found)", np.int8
     ),
-    "nearby_impacts": Variable("1", "impacts in the repeat of that orbit"),
-    "nearby_distance": Variable("1", "greatest distance of the last returns from that orbit, over half the swings"),
-    "lyapunov": Variable("1/s", "greatest Lyapunov exponent of the flow but the trivial zero"),
-    "lyapunov_stderr": Variable("1/s", "standard error of lyapunov, by blocks of returns (0: by multipliers)"),
-    "zero_one": Variable("1", "0-1 test on the returns of lanes that do not repeat: near 1 if chaotic, 0 if regular"),
-    "nature": Variable("1", "nature of the motion, by its greatest exponent", np.int8, NATURES),
+    "nearby_impacts": Variable("1", "impacts in one repeat of the nearby stable orbit"),
+    "nearby_distance": Variable(
+        "1", "largest distance of the last returns from the nearby stable orbit, in amplitudes"
+    ),
+    "lyapunov": Variable("1/s", "largest Lyapunov exponent of the flow, without the trivial zero"),
+    "lyapunov_stderr": Variable(
+        "1/s", "standard error of lyapunov from blocks of returns (0 for an exponent from multipliers)"
+    ),
+    "zero_one": Variable(
+        "1", "0-1 test for chaos on the returns of a lane that does not repeat: near 1 if chaotic, near 0 if regular"
+    ),
+    "nature": Variable("1", "kind of motion according to its largest Lyapunov exponent", np.int8, NATURES),
     "return_time": Variable("s", "time of the return", along="return_index"),
     "return_x1": Variable("m", "position of the bit at the return", along="return_index"),
     "return_x2": Variable("m", "position of the striker at the return", along="return_index"),
     "return_v2": Variable("m s-1", "velocity of the striker at the return", along="return_index"),
-    "return_impacts": Variable("1", "impacts since the return before", along="return_index"),
+    "return_impacts": Variable("1", "impacts since the previous return", along="return_index"),
     "return_impact_velocity": Variable("m s-1", "impact velocity at the return", along="return_index"),
 }

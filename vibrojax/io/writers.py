@@ -34,7 +34,7 @@ _PROBE = 1 << 20
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
     """Write a netCDF-4 file or a Zarr store under a temporary name, then rename it.
 
-    It appears complete or not at all.
+    An interrupted write thus leaves no partial file.
 
     **Arguments:**
 

@@ -26,8 +26,8 @@ from vibrojax.scenes import HasContact, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import AccuracyRequest, stepper_named
 
-ERROR_UNDER_PULSES = "estimated relative error of the settled rate of penetration (none if pulses do not repeat)"
-ERROR_OF_DRILL = "estimated relative error of the settled period, impact velocity and rate of penetration, the largest"
+ERROR_UNDER_PULSES = "estimated relative error of the settled rate of penetration (NaN if the motion does not repeat)"
+ERROR_OF_DRILL = "largest of the estimated relative errors of settled period, impact velocity and rate of penetration"
 """Meanings of `error_estimate` of scenes without a section, and of scenes with a section and rock."""
 
 _OF_ALL = {"status", "reason", "error_estimate"}
@@ -107,7 +107,7 @@ def measured_besides(scene: Scene[Any]) -> dict[str, Variable]:
     for swing in scene.section.swings:
         state = scene.states[scene.place(swing.position)]
         if swing.amplitude not in VARIABLES:
-            variables[swing.amplitude] = Variable(state.unit, f"half the swing of: {state.long_name}")
+            variables[swing.amplitude] = Variable(state.unit, f"half the peak-to-peak range of: {state.long_name}")
     for state in scene.states:
         name = state_name(state.name)
         if state.name in scene.return_states and name not in VARIABLES:

@@ -69,10 +69,10 @@ def orbits(
 
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. A dataset does not contain the initial states for
       Newton's method, so its sweep is run again, at the coordinates of the dataset. A dataset with orbits is returned
-      unchanged, unless its coordinates are not those of its sweep.
+      unchanged if its coordinates are those of its sweep.
 
-    **Returns:** the sweep's dataset, with these additional variables over its dimensions. For a lane with a found
-    orbit, `period` and the other measures are those of the orbit.
+    **Returns:** the sweep's dataset, with these additional variables over its dimensions. For a lane whose orbit was
+    found, `period` and the other measures are those of the orbit.
 
     - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, in order of decreasing modulus: eigenvalues of
       the map's derivative over `cycles` crossings. `stable`: 1 or 0, or -1 without multipliers.
@@ -81,16 +81,16 @@ def orbits(
       is so close to grazing that multipliers have no meaning. *another-orbit*: the orbit is too far from the lane, has
       another number of impacts, is unstable, or is not confirmed by a simulation.
     - `error_estimate`: infinite for a lane near an unstable orbit. An unstable orbit is found only if the lane stays on
-      it, for example because of an exact symmetry.
+      it, for example by an exact symmetry.
     - `orbit_residual`: the largest difference between the image of a state under the map and the orbit's next state, in
       units of the states' scales; `grazing_margin`: the distance from a change in the order of events, defined in the
       attribute `orbits`.
-    - `orbit_cycles`: the minimal number of crossings per period. It is less than the lane's `cycles` if the lane is
-      still settling on an orbit with a shorter period.
+    - `orbit_cycles`: the minimal number of crossings per period of the orbit. It is less than the lane's `cycles` if
+      the lane is still settling on an orbit with a shorter period.
     - `nearby_cycles`: crossings per period of a stable orbit near an irregular or undecided lane, which the lane has
-      not reached; 0 if none was found; not computed in `penetration`. `nearby_impacts`: its impacts per period;
-      `nearby_distance`: the largest distance of the lane's last crossings from it, in units of half the peak-to-peak
-      ranges of the states.
+      not reached; 0 if none was found; not computed in `penetration`. `nearby_impacts`: impacts per period of this
+      orbit; `nearby_distance`: the largest distance of the lane's last crossings from it, in units of half the
+      peak-to-peak ranges of the states.
 
     **Raises:** `InputError` if the source is not a sweep or the dataset of one, if the sweep cannot be run, or if the
     scene has neither a section nor pulses.

@@ -32,17 +32,18 @@ _MAX_LISTED = 8
 class Sweep:
     """The content of a sweep file, completed with defaults.
 
-    - `name`: stem of the output's file name.
+    - `name`: file name of the output, without its ending.
     - `text`: the sweep as TOML.
     - `title`: free text.
-    - `file`: file name in messages.
+    - `file`: name of the sweep file, for messages.
     - `scene`: name of the scene. `system`: the scene itself.
     - `options`: names of the scene's options, such as the friction law.
     - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without
-      selectable initial conditions. `own_starts`: True if each point has its own, the one with its index.
+      selectable initial conditions. `own_starts`: True if point number i has only initial condition number i.
     - `parameters`: all fixed values by name, in SI units. `given`: those that the user specified.
-    - `axes`: axes of the grid, each (values,), in the order of the file; empty if only the initial condition varies.
-    - `points`: columns (points,) that replace a grid.
+    - `axes`: values (values,) of each axis of the grid, in the order of the file; empty if only the initial condition
+      varies.
+    - `points`: columns (points,) of a table of points, used in place of a grid.
     - `run`: settings of the run.
 
     Fixed `rpm` and `bit_radius` appear in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters`

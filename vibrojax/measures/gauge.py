@@ -17,7 +17,7 @@ class Moment(NamedTuple):
 
     - `since` [s]: time from the last section crossing to the end of the step.
     - `frequency` [rad/s]: angular frequency of the section crossings, 0 before the second crossing.
-    - `phase` [rad]: phase of that frequency at the end of the step, 0 at the first crossing of the observation.
+    - `phase` [rad]: phase of an oscillation with `frequency` at the end of the step, 0 at the first observed crossing.
     """
 
     lane: Lane
@@ -28,13 +28,13 @@ class Moment(NamedTuple):
 
 
 class Return(NamedTuple):
-    """A section crossing of the lanes in the mask `here`; every leaf has shape (lanes,).
+    """A section crossing of the lanes in the mask `here`; every array has shape (lanes,).
 
     - `number`: index of the crossing in the observation, from 0.
     - `interval` [s]: time since the previous crossing.
     - `amplitudes` [m]: half the peak-to-peak range of each oscillating position in this interval.
     - `share`: elapsed fraction of the observation.
-    - `lane`: the lane at the crossing; `sums`: the ledger's sums since the previous crossing.
+    - `lane`: the lane at the crossing; `sums`: the gauges' sums since the previous crossing.
     """
 
     here: Flags
@@ -64,13 +64,13 @@ K = TypeVar("K", bound=Scene[Any])
 
 
 class Gauge(ABC, Generic[K]):
-    """A group of quantities that are accumulated over the steps; no values are stored per step.
+    """A group of measured quantities that are accumulated over the steps; no values are stored per step.
 
-    A gauge must define `read`. `increments` returns what a step adds to the sums over complete return intervals;
-    `close` may replace the sums of a return interval at its end. `begin` creates the gauge's carry; `step` and
-    `section` update it. The carry is a pytree of arrays whose last axis is lanes. All methods are pure functions. A
-    gauge is a frozen dataclass, because it is a static argument of compiled programs. A scene lists its gauges, or
-    their names, in `measures`.
+    A gauge must define `read`. `increments` returns what a step adds to the sums over complete return intervals (from
+    one section crossing to the next); `close` may replace the sums of an interval at its end. `begin` creates the
+    gauge's *carry*, its state during the observation; `step` and `section` update it. The carry is a pytree of arrays
+    whose last axis is lanes. All methods are pure functions. A gauge is a frozen dataclass, because it is a static
+    argument of compiled programs. A scene lists its gauges, or their names, in `measures`.
 
     - `summed`: names of the sums; `needs`: capabilities that the scene must have.
     - `variables`: unit and long name of each dataset variable that is not in [vibrojax.io.variables][].

@@ -309,7 +309,7 @@ def _repeats_under_pulses(scene: Scene[Any], features: Features, go: Segments, p
     """Return `cycles`, `drift_estimate` and the last states at pulses (lanes, returns), newest last.
 
     The return map `go` is iterated from the state at the last pulse. `cycles` is the smallest number of pulses, up to
-    8, after which every state is back to within 1e-3 of its swing; it is 0 if there is none.
+    8, after which every state is back to within 1e-3 of its amplitude; it is 0 if there is none.
     """
     names = [state_name(name) for name in scene.return_states]
     begin = np.stack([features[name][:, -1] for name in names]).astype(float)

@@ -1,4 +1,4 @@
-"""One-sided visco-elastic contact of striker and bit (source, eq. 5.18) and its closed forms (eqs. 5.6 to 5.8).
+"""One-sided visco-elastic contact of striker and bit (source, eq. 5.18), and closed-form results (eqs. 5.6 to 5.8).
 
 **Example:**
 
@@ -33,7 +33,7 @@ def force(compression: Real, rate: Real, k0: Real, c0: Real) -> Any:
 
 
 def damping_ratio(mass: Real, k0: Real, c0: Real) -> Any:
-    """Return the damping ratio xi = c0/(2 m W) [1] of a mass m [kg] that touches the contact, with W = sqrt(k0/m).
+    """Return the damping ratio xi = c0/(2 m W) [1] of a mass m [kg] on the contact, with W = sqrt(k0/m).
 
     `k0`, `c0`: stiffness [N/m] and damping [N s/m] of the contact. xi = 1 is critical damping.
     """
@@ -43,9 +43,9 @@ def damping_ratio(mass: Real, k0: Real, c0: Real) -> Any:
 def restitution(xi: Real) -> Any:
     """Return the ratio of the speeds after and before an impact on a Kelvin-Voigt stop.
 
-    The stop releases at zero force. Eq. 5.8 of the source is used with its root read as sqrt(1 - xi²), as the motion
-    during the impact requires: R = exp(-2 xi acos(xi)/sqrt(1 - xi²)). Beyond critical damping, acosh(xi)/sqrt(xi² - 1)
-    replaces acos(xi)/sqrt(1 - xi²). At xi = 1 both branches tend to exp(-2) and meet smoothly.
+    The mass leaves the stop at zero force. Eq. 5.8 of the source is used with its root read as sqrt(1 - xi²), as the
+    motion during the impact requires: R = exp(-2 xi acos(xi)/sqrt(1 - xi²)). Beyond critical damping,
+    acosh(xi)/sqrt(xi² - 1) replaces acos(xi)/sqrt(1 - xi²). At xi = 1 both branches tend to exp(-2) and meet smoothly.
 
     **Arguments:** `xi` >= 0, any shape.
     """

@@ -112,7 +112,7 @@ def absolute(x: Any) -> Any:
 
 
 def floor(x: Any) -> Any:
-    """Return the greatest whole number up to x.
+    """Return the greatest whole number not above x.
 
     In a `vj.System`, x may depend on the time and on parameters; the step ends where the result changes.
     """
@@ -144,7 +144,7 @@ def square(x: Any) -> Any:
 
 
 def integer_power(x: Any, exponent: Any) -> Any:
-    """Return `x**exponent` for number types other than arrays; a natural exponent admits every sign of `x`."""
+    """Return `x**exponent` for number types other than arrays; with a natural exponent, `x` may have any sign."""
     if exponent == 1:
         return x
     if isinstance(exponent, int) and exponent >= 2:

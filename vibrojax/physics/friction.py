@@ -34,12 +34,13 @@ class FrictionLaw:
     - `name`: name of the law in sweep files; `reference`: number of its equation in the source.
     - `parameters`: the law's own parameters, by name, from `vj.parameters.table`.
     - `mu`: function `mu(speed, p)`, the friction coefficient under the bit's weight at sliding speed `speed` >= 0
-      [m/s]; `p` has the law's own parameters by name. `mu(0, p)` is the limit mu(0+), which defines the stick limit.
-      The function uses +, -, *, / and the functions of [vibrojax.physics.elementary][], so that it accepts
-      arrays and Taylor series.
+      [m/s]; `p` has the law's own parameters by name. `mu(0, p)` is the limit mu(0+), which sets the greatest friction
+      force on a sticking bit. The function uses +, -, *, / and the functions of [vibrojax.physics.elementary][], so
+      that it accepts arrays and Taylor series.
     - `mu_impact`: the same for mu_J, the friction coefficient under the impact force J; default: `mu`.
     - `flat_below`: function `flat_below(p)`, a speed [m/s] below which `mu` is constant within rounding error although
-      it varies above. A Taylor series at such low speeds does not predict `mu` above. None: there is no such speed.
+      it varies above. A Taylor series at such a low speed does not predict `mu` at higher speeds. None: there is no
+      such speed.
 
     **Example:**
 
@@ -109,8 +110,8 @@ _LAWS = (
         "popp-exponential",
         "eq. 2.14",
         table(
-            Parameter("popp_c1", -0.02, "m s-1", "speed scale of the rise of Popp's friction law", "c₁", below=0.0),
-            Parameter("popp_c2", -0.25, "s m-1", "rate of the fall of Popp's friction law", "c₂"),
+            Parameter("popp_c1", -0.02, "m s-1", "speed scale of the rising part of Popp's law", "c₁", below=0.0),
+            Parameter("popp_c2", -0.25, "s m-1", "rate at which Popp's friction falls with speed", "c₂"),
         ),
         mu=_popp_exponential,
         flat_below=_popp_flat_below,
@@ -121,8 +122,8 @@ _LAWS = (
         "eq. 2.15",
         table(
             not_negative("a1", 0.14, "1", "amplitude of the arctangent friction law", "a₁"),
-            not_negative("a2", 1.14, "1", "excess of the arctangent friction law at low speed", "a₂"),
-            not_negative("b1", 2.0, "s m-1", "rate of the fall of the arctangent friction law", "b₁"),
+            not_negative("a2", 1.14, "1", "excess of arctangent friction at low speed", "a₂"),
+            not_negative("b1", 2.0, "s m-1", "rate at which arctangent friction falls with speed", "b₁"),
             not_negative("b2", 100.0, "s m-1", "steepness of the arctangent friction law at u = 0", "b₂"),
         ),
         mu=lambda u, p: p["a1"] * (1.0 + p["a2"] * exp(-p["b1"] * u)) * arctan(p["b2"] * u),
@@ -131,7 +132,7 @@ _LAWS = (
     FrictionLaw(
         "hyperbolic",
         "eq. 2.16",
-        table(_MU_AT_REST, not_negative("delta_f", 1.0, "s m-1", "rate of the fall of friction with speed", "δ_f")),
+        table(_MU_AT_REST, not_negative("delta_f", 1.0, "s m-1", "rate at which friction falls with speed", "δ_f")),
         mu=lambda u, p: p["mu0"] / (1.0 + p["delta_f"] * u),
     ),
     # (mu0 - mu1)/(1 + lambda |u|) + mu1 + alpha u²: a hyperbolic decrease to mu1 and a quadratic increase.
@@ -141,8 +142,8 @@ _LAWS = (
         table(
             _MU_AT_REST,
             not_negative("mu1", 0.1, "1", "friction coefficient after the hyperbolic fall", "μ₁"),
-            not_negative("lambda", 99.4, "s m-1", "rate of the hyperbolic fall", "λ"),
-            not_negative("alpha", 0.7, "s2 m-2", "rate of the quadratic rise", "α"),
+            not_negative("lambda", 99.4, "s m-1", "rate at which friction falls hyperbolically with speed", "λ"),
+            not_negative("alpha", 0.7, "s2 m-2", "coefficient of the quadratic rise of friction with speed", "α"),
         ),
         mu=lambda u, p: (p["mu0"] - p["mu1"]) / (1.0 + p["lambda"] * u) + p["mu1"] + p["alpha"] * u * u,
     ),
@@ -151,7 +152,7 @@ _LAWS = (
     FrictionLaw(
         "stribeck",
         "eq. 5.9",
-        table(_MU, positive("v_cr", 3.0, "m s-1", "Stribeck speed (R4)", "v_cr", (0.5, 10.0))),
+        table(_MU, positive("v_cr", 3.0, "m s-1", "Stribeck speed (reading R4)", "v_cr", (0.5, 10.0))),
         mu=_stribeck,
         mu_impact=lambda u, p: p["mu"],
     ),

@@ -21,9 +21,9 @@ mostly a thousand; a bit of 20 kg, a fifth of the lightest, is reported as well.
 class Parameter:
     """A physical parameter as users write it in a sweep file or a call.
 
-    `default` is in `unit`. `lowest` is the lower limit of admissible values; it is itself excluded if `open_below` is
-    True. Values must be less than `below`. `usual` holds the least and the greatest value in the source or on rigs,
-    None if unknown.
+    `default` is in `unit`. `lowest` is the lower limit of admissible values; it is excluded if `open_below` is True.
+    Values must be less than `below`. `usual` holds the least and the greatest value in the source or on rigs, None if
+    unknown.
     """
 
     name: str
@@ -132,10 +132,10 @@ def substitutes(parameters: Mapping[str, Parameter]) -> dict[str, Parameter]:
 
 
 def resolved(values: Mapping[str, Any], names: Collection[str] = tuple(REPLACED)) -> dict[str, Any]:
-    """Return `values` with the quantities in `names` replaced by the parameters that they define, if all are known.
+    """Return `values` in which parameters replace the quantities in `names` from which they follow, if these are there.
 
-    A rotation defines v = 2 pi rpm/60 bit_radius [m/s], a natural frequency of the bit k1 = m1 (2 pi bit_frequency)²,
-    and one of the striker gamma = 2 pi striker_frequency sqrt(m1/k1).
+    These are v = 2 pi rpm/60 bit_radius [m/s], k1 = m1 (2 pi bit_frequency)², and gamma = 2 pi striker_frequency
+    sqrt(m1/k1).
     """
     values = dict(values)
     given = values.keys() & set(names)

@@ -186,14 +186,12 @@ def point_text(ds: xr.Dataset) -> str:
     scene, values = SCENES.get(text_of(ds, "scene")), parameters_of(ds)
     about = {} if scene is None else scene().parameters()
     listed = [name for name in _LISTED if name in about and name in values]
-    records = [(name, about[name].symbol, about[name].unit, values[name]) for name in listed]
+    records = {name: (about[name].symbol, about[name].unit, values[name]) for name in listed}
     for x in differing_of(ds):
-        if x["name"] not in listed:
-            records.append((x["name"], printable(x["symbol"], 40), printable(x["units"], 40), x["value"]))
-    for name, sign, unit, value in records:
+        records.setdefault(x["name"], (printable(x["symbol"], 40), printable(x["units"], 40), x["value"]))
+    for name, (sign, unit, value) in records.items():
         if name not in known:
-            data = xr.DataArray(value, name=name, attrs={"symbol": sign, "units": unit})
-            parts.append(value_text(data, value))
+            parts.append(value_text(xr.DataArray(value, name=name, attrs={"symbol": sign, "units": unit}), value))
     if ds.attrs.get("friction", _USUAL_FRICTION) != _USUAL_FRICTION:
         parts.append(f"friction: {text_of(ds, 'friction')}")
     if "start" in ds.attrs and "start" not in ds.coords:

@@ -235,22 +235,23 @@ def family_layers(
     ds: xr.Dataset,
     shown: Iterable[Branch],
     name: str,
-    thin: bool = False,
     factor: float | None = None,
     within: tuple[float, float] | None = None,
 ) -> list[Layer]:
     """Return the variable `name` along branches as lines, with their special points.
 
-    `thin`: use finer lines and markers; `factor`: conversion factor of the variable, by default that of its label;
-    `within`: limits of the parameter, for black lines with a white edge over the dots of a sweep.
+    `factor`: conversion factor of the variable, by default that of its label; `within`: limits of the parameter, for
+    black lines with a white edge over the dots of a sweep, labelled by their stability and kinds.
     """
     factor = scale(ds[name])[0] if factor is None else factor
+    over_dots = within is not None
+    thin = over_dots or FAMILY in ds.dims
     along, kinds = values_along(ds[along_name(ds)]), kind_names(ds)
     low, high = within or (-np.inf, np.inf)
     layers: list[Layer] = []
     for branch in shown:
         special, segments = places(ds, branch), stability(ds, branch)
-        colour = INK if within else branch.colour
+        colour = INK if over_dots else branch.colour
         for drawn in _shown_names(ds, branch, name):
             heights = heights_of(ds, drawn, factor)
             for first, last, stable in runs(segments):
@@ -261,10 +262,13 @@ def family_layers(
                 x, y = (np.concatenate(part) for part in zip(*smoothed, strict=True))
                 # Points outside become NaN, so that they do not change the limits of the panel.
                 inside = np.where((x >= low) & (x <= high), y, np.nan)
-                layers.append(Line(x, inside, colour, width, _LINES[stable], halo=0.3 * bool(within), order=4.0))
+                text = f"{_MEANINGS[stable]} orbit" if over_dots and np.isfinite(inside).any() else ""
+                look: Look = {"halo": 0.3 * over_dots, "order": 4.0, "label": text}
+                layers.append(Line(x, inside, colour, width, _LINES[stable], **look))
             for point, place in zip(branch.special, special, strict=True):
                 if low <= along[place] <= high and np.isfinite(heights[place]):
                     mark = _mark(kinds[point], 0.7 if thin or branch.number else 1.0)
+                    mark["label"] = kinds[point] if over_dots else ""
                     layers.append(dots([along[place]], [heights[place]], order=5.0, **mark))
     return layers
 
@@ -319,17 +323,17 @@ def colour_keys(ds: xr.Dataset) -> list[Line]:
     return [key(f"repeats after {texts[cycles]}", colour=colour) for cycles, colour in periods.items()]
 
 
-def stability_keys(ds: xr.Dataset, noun: str = "") -> list[Line]:
-    """Return the legend entries for the line styles that occur; `noun` is appended to each label."""
+def stability_keys(ds: xr.Dataset) -> list[Line]:
+    """Return the legend entries for the line styles that occur."""
     occurring = {stable for branch in branches(ds) for *_, stable in runs(stability(ds, branch))}
-    return [key(f"{_MEANINGS[stable]}{noun}", dash=line) for stable, line in _LINES.items() if stable in occurring]
+    return [key(_MEANINGS[stable], dash=line) for stable, line in _LINES.items() if stable in occurring]
 
 
-def special_keys(ds: xr.Dataset, count: bool = True) -> list[Line]:
-    """Return the legend entries for the kinds of special points that occur, with their counts if `count`."""
+def special_keys(ds: xr.Dataset) -> list[Line]:
+    """Return the legend entries for the kinds of special points that occur, with their counts."""
     names = kind_names(ds)
     kinds = [*(kind for kind in MARKS if kind in names), *dict.fromkeys(name for name in names if name not in MARKS)]
-    return [dots(label=kind + f"  {names.count(kind)}" * count, **_mark(kind, 1.0)) for kind in kinds]
+    return [dots(label=f"{kind}  {names.count(kind)}", **_mark(kind, 1.0)) for kind in kinds]
 
 
 def ranges_text(ds: xr.Dataset, names: Sequence[str]) -> str:

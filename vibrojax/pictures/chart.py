@@ -10,22 +10,10 @@ from scipy.ndimage import binary_erosion, minimum_filter
 from vibrojax.errors import InputError
 from vibrojax.lazy import colors, ticker
 from vibrojax.measures.labels import REGIMES
-from vibrojax.pictures.axes import (
-    axis,
-    edges,
-    margins,
-    number,
-    pretty_unit,
-    quantity_text,
-    scale,
-    symbol,
-    value_text,
-    values_along,
-    with_unit,
-)
+from vibrojax.pictures import axes
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
 from vibrojax.pictures.maps import contours, region
-from vibrojax.pictures.plots import INK, Cells, Dash, Layer, Plot, Sheet, dots, patch
+from vibrojax.pictures.plots import INK, Cells, Dash, Key, Layer, Plot, Sheet, dots, patch
 from vibrojax.pictures.style import IMPACT
 
 SAME_MOTION = 0.02
@@ -71,25 +59,25 @@ def chart(ds: xr.Dataset) -> Sheet:
     aim, best = _best(ds, robust)
     marks = region(ds[x], ds[y])
     if best is not None:
-        place = [[float(values_along(ds[name])[k])] for name, k in zip((x, y), best[::-1], strict=True)]
+        place = [[float(axes.values_along(ds[name])[k])] for name, k in zip((x, y), best[::-1], strict=True)]
         star = {"marker": "*", "size": 14.0, "colour": IMPACT, "edge": "white", "clip": False, "order": 5.0}
         marks.append(dots(*place, label="best robust cell", **star))
-    tolerance = ",\n".join(f"{symbol(ds[name])} ± {_step(ds[name])}" for name in (x, y))
+    tolerance = ",\n".join(f"{axes.symbol(ds[name])} ± {_step(ds[name])}" for name in (x, y))
     regions = {_ROBUST: f"robust: also within\n{tolerance}", _SINGLE: "the same single impact\nfrom every start"}
     regions[_OTHER] = "other motions"
-    keys: list[Layer] = [patch(colour, words, edge=INK) for colour, words in regions.items()]
+    keys: list[Key] = [patch(colour, words, edge=INK) for colour, words in regions.items()]
     keys += [replace(mark, x=(), y=()) for mark in marks]
     extra = [replace(mark, label="") for mark in marks]
     plots = [_panel(ds, (x, y), single.astype(int) + robust, group) for group in names]
     plots = [replace(plot, layers=[*plot.layers, *extra], place=(0, k)) for k, plot in enumerate(plots)]
     note = "No cell is robust" if best is None else _best_text(ds, (x, y), aim, best, names)
-    about = margins(ds, "Values are the worst over the starts" if START in ds.dims else "", note)
+    about = axes.margins(ds, "Values are the worst over the starts" if START in ds.dims else "", note)
     return Sheet(plots, (14.2, 5.2), keys=[keys], **about)
 
 
 def _step(data: xr.DataArray) -> str:
     """Return the least distance of neighbouring cells along an axis, with its unit."""
-    return quantity_text(float(np.diff(data.values).min(initial=np.inf)), data, 2)
+    return axes.quantity_text(float(np.diff(data.values).min(initial=np.inf)), data, 2)
 
 
 def _single(ds: xr.Dataset) -> Bool[np.ndarray, "y x"]:
@@ -124,27 +112,29 @@ def _best(ds: xr.Dataset, robust: np.ndarray) -> tuple[str, tuple[int, int] | No
     return name, (int(row), int(column))
 
 
-def _best_text(ds: xr.Dataset, axes: tuple[str, str], aim: str, best: tuple[int, int], names: list[list[str]]) -> str:
-    place = ", ".join(value_text(ds[name], float(ds[name][k])) for name, k in zip(axes, best[::-1], strict=True))
+def _best_text(ds: xr.Dataset, over: tuple[str, str], aim: str, best: tuple[int, int], names: list[list[str]]) -> str:
+    place = ", ".join(axes.value_text(ds[name], float(ds[name][k])) for name, k in zip(over, best[::-1], strict=True))
     words = []
     for name in dict.fromkeys((*names[0], aim, *names[1])):
-        factor, unit = scale(ds[name])
-        words.append(f"{_LINES[name][0]} {number(factor * _worst(ds, name)[best])} {pretty_unit(unit)}")
+        factor, unit = axes.scale(ds[name])
+        words.append(f"{_LINES[name][0]} {axes.number(factor * _worst(ds, name)[best])} {axes.pretty_unit(unit)}")
     return f"Best robust cell, by {_LINES[aim][0]} at worst within the tolerance: {place}; {', '.join(words)}"
 
 
 def _panel(ds: xr.Dataset, over: tuple[str, str], kinds: np.ndarray, names: list[str]) -> Plot:
-    x, y = (values_along(ds[name]) for name in over)
+    x, y = (axes.values_along(ds[name]) for name in over)
     colours = colors.ListedColormap([_OTHER, _SINGLE, _ROBUST])
-    layers: list[Layer] = [Cells(edges(x), edges(y), kinds.astype(float), colours, colors.Normalize(0.0, 2.0))]
+    layers: list[Layer] = [
+        Cells(axes.edges(x), axes.edges(y), kinds.astype(float), colours, colors.Normalize(0.0, 2.0))
+    ]
     taken: list[np.ndarray] = []
     for name, dash in zip(names, _DASHES, strict=False):
-        z = np.where(kinds == 2, scale(ds[name])[0] * _worst(ds, name), np.nan)
+        z = np.where(kinds == 2, axes.scale(ds[name])[0] * _worst(ds, name), np.nan)
         known = z[np.isfinite(z)]
         if known.size > 1 and np.ptp(known) and min(z.shape) > 1:
             levels = list(ticker.MaxNLocator(_LEVELS).tick_values(known.min(), known.max()))
             words, colour = _LINES[name]
-            label = with_unit(words, scale(ds[name])[1])
+            label = axes.with_unit(words, axes.scale(ds[name])[1])
             layers += contours(x, y, z, levels, taken, colour=colour, dash=dash, width=1.1, label=label)
-    across, up = axis(ds[over[0]]), axis(ds[over[1]], group="y")
+    across, up = axes.axis(ds[over[0]]), axes.axis(ds[over[1]], group="y")
     return Plot(layers, across, up, keys="above", key_columns=2, grid="")

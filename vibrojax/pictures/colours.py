@@ -15,7 +15,7 @@ from vibrojax.lazy import colors
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures.axes import scale, share_text, with_unit
 from vibrojax.pictures.contents import RATE, REGIME, RELIEF, quantities_beside, require
-from vibrojax.pictures.plots import Axis, Layer, dots, patch
+from vibrojax.pictures.plots import Axis, Key, dots, patch
 from vibrojax.pictures.style import NO_VALUE, NOTHING, colour_map, other_colour
 
 # One fixed colour for each regime, so that pictures of different runs can be compared. Any two differ by 27 or more in
@@ -136,7 +136,7 @@ def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
     return dict(zip(occurring.astype(int).tolist(), lanes.tolist(), strict=True))
 
 
-def regime_keys(data: Sequence[xr.DataArray]) -> list[Layer]:
+def regime_keys(data: Sequence[xr.DataArray]) -> list[Key]:
     """Return a legend entry for each regime that occurs, with name and fraction of the lanes."""
     names = regime_names(data[0])
     lanes = sum(part.size for part in data)
@@ -150,7 +150,7 @@ SENSITIVE_KEY = dots(label="rounding decides\nthe attractor", marker="x", edge_w
 """Legend entry for lanes whose attractor is determined by rounding error."""
 
 
-def no_value_key(name: str = "no value") -> Layer:
+def no_value_key(name: str = "no value") -> Key:
     """Return the legend entry for map cells without a value."""
     return patch(NO_VALUE["facecolor"], name, edge=NO_VALUE["edgecolor"], hatch=NO_VALUE["hatch"])
 
@@ -242,7 +242,7 @@ def share_value(data: xr.DataArray, name: str) -> Value:
     return Value(str(data.name), f"{name} [% of starts]", 1.0, colors.Normalize(0.0, 100.0), "neither", colour_map())
 
 
-def cell_keys(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Layer]:
+def cell_keys(data: Sequence[xr.Dataset], values: Sequence[Value]) -> list[Key]:
     """Return the legend entries for regimes, for lanes without penetration, and for lanes without a value."""
     counted = [part[value.name] for part in data for value in values if value.counted]
     shown = [(part[value.name].values, value.of_rate) for part in data for value in values if not value.counted]

@@ -32,9 +32,8 @@ class Contents:
     def __init__(self, ds: xr.Dataset) -> None:
         self.variables = frozenset(str(name) for name in ds.variables)
         self.dimensions = frozenset(str(name) for name in ds.dims)
-        # Swept axes: those to draw along, those with too many values for one line each, and whether a map fits.
+        # Swept axes: those to draw along, and whether a map fits.
         self.axes = axes_to_draw(ds)
-        self.long = long_axes(ds)
         self.wide = sum(ds.sizes[name] >= ENOUGH for name in swept(ds)) > 1
         # The lanes form a list of points, rather than a grid; the parameters that vary along it; exactly two do.
         self.points = POINT in lane_dims(ds)
@@ -55,7 +54,7 @@ class Contents:
         self.law = COEFFICIENT in ds and FORM in ds.dims
         # Quantities along a single axis are drawn as curves, lanes with too many values for one line each as maps.
         self.quantities_over_one = len(self.axes) == 1 and bool(quantities_beside(ds))
-        self.worth_a_map = len(self.long) >= 2
+        self.worth_a_map = len(long_axes(ds)) >= 2
         if self.points:
             self.worth_a_map = self.points_over_two and (self.regimes or min(self.varied.values()) > MOST_LINES)
 
@@ -85,12 +84,8 @@ def rates_in(ds: xr.Dataset) -> xr.Dataset:
 
 def law_in(fit: xr.Dataset) -> xr.Dataset:
     """Return the fit with axes of length 1 as scalars; raise `InputError` if it holds no C along `form`."""
-    has_forms = COEFFICIENT in fit and FORM in fit[COEFFICIENT].dims
-    return require(
-        named_groups(fit),
-        COEFFICIENT if has_forms else "",
-        "no law to draw: the dataset holds no variable C along form",
-    )
+    name = COEFFICIENT if COEFFICIENT in fit and FORM in fit[COEFFICIENT].dims else ""
+    return require(named_groups(fit), name, "no law to draw: the dataset holds no variable C along form")
 
 
 def require(ds: xr.Dataset, name: str, reason: str) -> xr.Dataset:

@@ -1,11 +1,5 @@
-"""Drawing of pictures by matplotlib: panels, legends, colour bars, title and note.
+"""Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
-Panels are placed by matplotlib's constrained layout, in a fraction of its time. Matplotlib finds the place of the label
-of an axis, and the height of a title, from all tick labels around, each time that it measures a panel: for 14 panels,
-it computes ticks a thousand times. Here, labels are placed once before panels, and titles stay where they are.
-"""
-
-from collections import defaultdict
 from collections.abc import Sequence
 from io import BytesIO
 from textwrap import fill
@@ -20,35 +14,21 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.gridspec import GridSpec, SubplotSpec
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
-from matplotlib.transforms import ScaledTranslation
 
-from vibrojax.pictures.fitting import SMALL, WIDTH, in_width
-from vibrojax.pictures.plots import (
-    Area,
-    Axis,
-    Bars,
-    Cells,
-    Layer,
-    Line,
-    Picture,
-    Places,
-    Plot,
-    Points,
-    Sheet,
-    Text,
-    as_sheet,
-    labelled_layers,
-    legend_of,
-    resolved,
-)
+from vibrojax.pictures import plots
+from vibrojax.pictures.axes import broken
+from vibrojax.pictures.layout import LETTERS, WIDTH, in_width
+from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import NO_VALUE, plain, settings
 
+# Sizes of type where panels are made narrower.
+_SMALL = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 7.5)
+_SMALL |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 6.5)
 _TITLE_SIZE, _NOTE_SIZE = 11.0, 8.0
 _ROUND_STEPS = [1, 2, 5, 10]
 # Greatest number of intervals between the ticks of a colour bar, also of a narrow one: more labels would touch.
@@ -87,52 +67,50 @@ def new_figure(width: float, height: float) -> OwnFigure:
     return figure
 
 
-def draw(picture: Picture | Figure) -> Figure:
+def draw(picture: plots.Picture | Figure) -> Figure:
     """Draw plots; a figure is returned as it is."""
     width = WIDTH.get()
     if isinstance(picture, Figure):
         if width:
             picture.set_size_inches(width, picture.get_figheight() * width / picture.get_figwidth())
         return picture
-    sheet = as_sheet(picture)
-    with settings(SMALL if width and width < sheet.size[0] else {}):
+    sheet = plots.as_sheet(picture)
+    with settings(_SMALL if width and width < sheet.size[0] else {}):
         sheet = in_width(sheet, width) if width else sheet
         figure = new_figure(*sheet.size)
-        figure.set_layout_engine(PanelLayout())
-        heights = [part.size[1] for part in sheet.parts]
-        heights[-1] = sheet.size[1] - sum(heights[:-1])
-        grid: Any = GridSpec(len(heights), 1, figure, height_ratios=heights)
-        for k, part in enumerate(sheet.parts):
-            _draw_plots(figure, grid[k], part)
+        _draw_plots(figure, sheet)
         _draw_legend(figure, sheet)
         _write_margins(figure, sheet)
         # Ticks are created when the figure is rendered, under the user's settings.
         for axes in figure.axes:
             axes.tick_params(labelsize=rcParams["xtick.labelsize"])
+        figure.align_ylabels()
     return figure
 
 
-def _draw_plots(figure: Figure, whole: SubplotSpec, sheet: Sheet) -> None:
+def _draw_plots(figure: Figure, sheet: Sheet) -> None:
     """Draw the plots of a sheet, and one colour bar below the plots of each quantity."""
     size = len(sheet.heights), len(sheet.widths)
-    grid = whole.subgridspec(*size, height_ratios=sheet.heights, width_ratios=sheet.widths)
-    plots, panels = resolved(sheet.plots), []
-    for plot in plots:
+    grid = GridSpec(*size, figure, height_ratios=sheet.heights, width_ratios=sheet.widths)
+    shown, panels = plots.resolved(sheet.plots), []
+    for plot in shown:
         row, column, deep, wide = plot.span
         panels.append(figure.add_subplot(grid[row : row + deep, column : column + wide]))
-        _draw_plot(panels[-1], plot, plots)
-    for value in {id(plot.scale): plot.scale for plot in plots if plot.scale is not None}.values():
-        below = [axes for axes, plot in zip(panels, plots, strict=True) if plot.scale is value]
-        wide = len({plot.place[1] for plot in plots if plot.scale is value})
-        _draw_scale(figure, below, value, _BAR_ASPECT * wide, _BAR_INTERVALS if sheet.beside else _FEW_INTERVALS)
+        _draw_plot(panels[-1], plot, shown)
+    for value in {id(plot.scale): plot.scale for plot in shown if plot.scale is not None}.values():
+        below = [axes for axes, plot in zip(panels, shown, strict=True) if plot.scale is value]
+        columns = {plot.place[1]: plot.span[3] for plot in shown if plot.scale is value}
+        letters = int(LETTERS * sheet.size[0] * sum(columns.values()) / len(sheet.widths))
+        intervals = _BAR_INTERVALS if sheet.beside else _FEW_INTERVALS
+        _draw_scale(figure, below, value, broken(value.label, letters), _BAR_ASPECT * len(columns), intervals)
 
 
-def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
+def _draw_plot(axes: Axes, plot: Plot, shown: Sequence[Plot]) -> None:
     for layer in plot.layers:
         _draw_layer(axes, layer, plot)
     row, column = plot.place[:2]
-    same_column = [p for p in plots if p.x.group == plot.x.group != "" and p.place[1] == column]
-    same_row = [p for p in plots if p.y.group == plot.y.group != "" and p.place[0] == row]
+    same_column = [p for p in shown if p.x.group == plot.x.group != "" and p.place[1] == column]
+    same_row = [p for p in shown if p.y.group == plot.y.group != "" and p.place[0] == row]
     _draw_axis(axes, "x", plot.x, outer=not any(p.place[0] > row for p in same_column))
     _draw_axis(axes, "y", plot.y, outer=not any(p.place[1] < column for p in same_row))
     if plot.grid and not plot.has_cells:
@@ -140,20 +118,18 @@ def _draw_plot(axes: Axes, plot: Plot, plots: Sequence[Plot]) -> None:
     if plot.square:
         axes.set_aspect("equal")
     bold: dict[str, Any] = {"color": plot.title_colour, "fontweight": "bold"} if plot.title_colour else {}
-    axes.spines[["top", "right"]].set_in_layout(False)  # matplotlib would compute ticks to measure them
-    height: Any = title_height(axes)
     is_centred = plot.has_cells or plot.square or bool(bold)
-    axes.set_title(plain(plot.title), loc="center" if is_centred else "left", y=height, **bold)
-    axes.set_title(plain(plot.remark), loc="right", y=height, fontsize=8)
+    axes.set_title(plain(plot.title), loc="center" if is_centred else "left", **bold)
+    axes.set_title(plain(plot.remark), loc="right", fontsize=8)
     if plot.keys:
         place: dict[str, Any] = {"loc": plot.keys}
         if plot.keys in _ABOVE:
             loc, x = _ABOVE[plot.keys]
             place = {"loc": loc, "bbox_to_anchor": (x, 1.0), "borderpad": 0.0, "borderaxespad": 0.3}
-        axes.legend(handles=[_handle(layer) for layer in labelled_layers(plot)], ncols=plot.key_columns, **place)
+        axes.legend(handles=[_handle(layer) for layer in plots.labelled_layers(plot)], ncols=plot.key_columns, **place)
 
 
-def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: Axis, outer: bool) -> None:
+def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: plots.Axis, outer: bool) -> None:
     """Set scale, limits, ticks and label of an axis; only the `outer` panels have labels."""
     axis = getattr(axes, f"{which}axis")
     low, high = shown.limits
@@ -177,18 +153,18 @@ def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: Axis, outer: bool) -
     axis.set_label_text(plain(shown.label) if outer else "")
 
 
-def _draw_layer(axes: Axes, layer: Layer, plot: Plot) -> None:
+def _draw_layer(axes: Axes, layer: plots.Layer, plot: Plot) -> None:
     stroke: dict[str, Any] = {}
-    if isinstance(layer, Line | Text) and layer.halo:
-        width = 2 * layer.halo + (layer.width if isinstance(layer, Line) else 0.0)
+    if isinstance(layer, plots.Line | plots.Text) and layer.halo:
+        width = 2 * layer.halo + (layer.width if isinstance(layer, plots.Line) else 0.0)
         stroke = {"path_effects": [withStroke(linewidth=width, foreground="white")]}
-    if isinstance(layer, Line):
+    if isinstance(layer, plots.Line):
         edge = _BELOW_EDGE if layer.marker else 1.0
         x, y = np.broadcast_arrays(_inside(layer.x, plot.x), _inside(layer.y, plot.y, edge))
         (line,) = axes.plot(x, y, **_line_look(layer), **stroke, zorder=layer.order)
         line.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
         line.set_rasterized(x.size > 20 * _MANY_POINTS)
-    elif isinstance(layer, Points):
+    elif isinstance(layer, plots.Points):
         x, y = _inside(layer.x, plot.x), _inside(layer.y, plot.y)
         look: dict[str, Any] = {"marker": layer.marker, "linewidths": layer.edge_width, "hatch": layer.hatch or None}
         look |= {"edgecolors": layer.edge} if layer.edge else {}
@@ -197,38 +173,36 @@ def _draw_layer(axes: Axes, layer: Layer, plot: Plot) -> None:
             many = len(x) > _MANY_POINTS
             shown = axes.scatter(x, y, s=area, c=layer.colours, zorder=layer.order, rasterized=many, **look)
             shown.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
-    elif isinstance(layer, Bars):
+    elif isinstance(layer, plots.Bars):
         x, y, wide, high = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
         look = {"edgecolor": layer.edge or "none", "linewidth": 0.4, "hatch": layer.hatch or None}
         axes.bar(x, high, wide, y, align="edge", color=layer.colours, zorder=layer.order, **look)
-    elif isinstance(layer, Area):
+    elif isinstance(layer, plots.Area):
         x, low, high = _inside(layer.x, plot.x), _inside(layer.low, plot.y), _inside(layer.high, plot.y)
         look = {"facecolor": to_rgba(layer.colour, layer.alpha), "hatch": layer.hatch or None, "zorder": layer.order}
         look |= {"edgecolor": layer.edge or "none", "linewidth": 0.6 if layer.edge else 0.0}
         if x.size:
             axes.fill_between(x, low, high, step="post" if layer.step else None, **look)
-    elif isinstance(layer, Cells):
+    elif isinstance(layer, plots.Cells):
         if layer.hatched and np.isnan(layer.values).any():
             axes.patch.set(**NO_VALUE, linewidth=0.0)
         look = {"cmap": layer.colour_map, "norm": layer.norm, "zorder": layer.order, "rasterized": True}
         axes.pcolormesh(layer.x, layer.y, np.ma.masked_invalid(layer.values), **look)
     else:
         look = {"ha": layer.align, "va": layer.baseline, "color": layer.colour, "fontsize": layer.size}
-        if layer.box:
-            look |= {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 1.5}}
         look |= {"xytext": layer.offset, "textcoords": "offset points", "zorder": layer.order} | stroke
         look |= {"xycoords": "axes fraction" if layer.relative else "data", "annotation_clip": False}
         axes.annotate(plain(layer.text), (layer.x, layer.y), **look)
 
 
-def _inside(values: Places, axis: Axis, edge: float = 1.0) -> np.ndarray:
+def _inside(values: plots.Places, axis: plots.Axis, edge: float = 1.0) -> np.ndarray:
     """Return coordinates in which the ends of the axis, or a fraction `edge` of it, replace infinity."""
     low, high = (float(end or 0.0) for end in axis.limits)
     array = np.atleast_1d(np.asarray(values, float))
     return np.where(np.isinf(array), np.where(array > 0, low + edge * (high - low), low), array)
 
 
-def _line_look(layer: Line) -> dict[str, Any]:
+def _line_look(layer: plots.Line) -> dict[str, Any]:
     look: dict[str, Any] = {"color": layer.colour, "linewidth": layer.width, "linestyle": layer.dash or "none"}
     if layer.marker:
         look |= {"marker": layer.marker, "markersize": layer.size, "markeredgewidth": layer.edge_width}
@@ -236,33 +210,27 @@ def _line_look(layer: Line) -> dict[str, Any]:
     return look | {"alpha": layer.alpha}
 
 
-def _handle(layer: Layer) -> Artist:
-    """Return the legend entry of a layer."""
-    text = plain(layer.label) if not isinstance(layer, Cells) else ""
-    if isinstance(layer, Line):
-        return Line2D([], [], label=text, **_line_look(layer))
-    if isinstance(layer, Points):
-        colour, size = np.atleast_1d(layer.colours)[0], float(np.max(layer.sizes))
-        return Line2D([], [], label=text, linestyle="none", marker=layer.marker, color=colour, markersize=size)
-    if isinstance(layer, Bars | Area):
-        colour = layer.colour if isinstance(layer, Area) else np.atleast_1d(layer.colours)[0]
-        face = to_rgba(colour, layer.alpha if isinstance(layer, Area) else 1.0) if colour != "none" else "none"
-        edge: dict[str, Any] = {"edgecolor": layer.edge or "none", "linewidth": 1.3 if colour == "none" else 0.4}
-        return Patch(facecolor=face, hatch=layer.hatch or None, label=text, **edge)
-    return Line2D([], [], linestyle="none", label=text)
+def _handle(key: plots.Key) -> Artist:
+    """Return an entry of a legend."""
+    if isinstance(key, plots.Line):
+        return Line2D([], [], label=plain(key.label), **_line_look(key))
+    hollow = key.colour == "none"
+    look: dict[str, Any] = {"edgecolor": key.edge or "none", "linewidth": 1.3 if hollow else 0.4}
+    look |= {"facecolor": "none" if hollow else to_rgba(key.colour, key.alpha), "hatch": key.hatch or None}
+    return Patch(label=plain(key.label), **look)
 
 
 def _draw_legend(figure: Figure, sheet: Sheet) -> None:
     """Draw one legend at the right of all plots, with gaps between its groups, or below them in columns that fit."""
-    groups = [[_handle(layer) for layer in group] for group in legend_of(sheet)]
+    groups = [[_handle(layer) for layer in group] for group in plots.legend_of(sheet)]
     if not groups:
         return
     if sheet.beside:
         gap = Line2D([], [], linestyle="none", label=" ")
         handles = [handle for group in groups for handle in (gap, *group)][1:]
         dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
-        look: dict[str, Any] = {"handlelength": _DASHED_LENGTH} if dashed else {}
-        figure.legend(handles=handles, loc="outside right upper", **look)
+        length = _DASHED_LENGTH if dashed else rcParams["legend.handlelength"]
+        figure.legend(handles=handles, loc="outside right upper", handlelength=length)
         return
     handles = [handle for group in groups for handle in group]
     renderer = FigureCanvasAgg(figure).get_renderer()
@@ -273,8 +241,8 @@ def _draw_legend(figure: Figure, sheet: Sheet) -> None:
         legend.remove()
 
 
-def _draw_scale(figure: Figure, above: list[Axes], value: Any, aspect: float, intervals: int) -> None:
-    look: dict[str, Any] = {"extend": value.extend, "label": plain(value.label), "aspect": aspect}
+def _draw_scale(figure: Figure, above: list[Axes], value: Any, label: str, aspect: float, intervals: int) -> None:
+    look: dict[str, Any] = {"extend": value.extend, "label": plain(label), "aspect": aspect}
     mappable = ScalarMappable(value.norm, value.colour_map)
     bar = figure.colorbar(mappable, ax=above, location="bottom", extendfrac=1.0 / aspect, **look)
     if value.names:
@@ -321,58 +289,3 @@ def _write_margins(figure: Figure, sheet: Sheet) -> None:
             each.set_bbox_to_anchor((0.0, below / height, 1.0, 1.0), figure.transFigure)
         engine: Any = figure.get_layout_engine()
         engine.set(rect=(0.0, legend / height, 1.0, 1.0 - legend / height))
-
-
-_POINTS = 72.0  # in an inch
-_LAYOUT_MAX_ROUNDS = 3  # the place of labels and the size of panels depend on each other by the width of tick labels
-_SAME_PLACE = 0.01  # difference of the places of a label that a further round does not correct [inch]
-
-
-class PanelLayout(ConstrainedLayoutEngine):
-    """A constrained layout that aligns the labels of the vertical axes of each column of panels."""
-
-    def execute(self, fig: Figure) -> Any:
-        """Place all panels and their labels."""
-        before: dict[Any, float] = {}
-        for _ in range(_LAYOUT_MAX_ROUNDS):
-            placed = _place_labels(fig)
-            if before and all(abs(placed[axis] - before[axis]) < _SAME_PLACE for axis in placed):
-                break
-            before = placed
-            grids = super().execute(fig)
-        return grids
-
-
-def title_height(axes: Axes) -> float | None:
-    """Return the height of the title over the panel; None if it has to make room for an exponent of the axis."""
-    formatter: Any = axes.yaxis.get_major_formatter()
-    formatter.set_locs(axes.yaxis.get_majorticklocs())
-    return None if formatter.get_offset() else 1.0
-
-
-def _place_labels(figure: Figure) -> dict[Any, float]:
-    """Place the labels of all axes beside the tick labels; return their distances from the panels [inch], by axis."""
-    columns: dict[float, list[Any]] = defaultdict(list)
-    placed: dict[Any, float] = {}
-    for axes in figure.axes:
-        columns[round(axes.get_position(original=True).x0, 3)].append(axes.yaxis)
-        placed[axes.xaxis] = _room(axes, axes.xaxis, 1)
-        placed[axes.yaxis] = _room(axes, axes.yaxis, 0)
-    for column in columns.values():
-        placed |= dict.fromkeys(column, max(placed[axis] for axis in column))
-    for axis, inches in placed.items():
-        vertical = axis is axis.axes.yaxis
-        away = ScaledTranslation(-inches * vertical, -inches * (not vertical), figure.dpi_scale_trans)
-        axis.set_label_coords(*((0.0, 0.5) if vertical else (0.5, 0.0)), axis.axes.transAxes + away)
-    return placed
-
-
-def _room(axes: Axes, axis: Any, side: int) -> float:
-    """Return the distance of the label from the panel [inch]: to the left (`side` 0), below (1), or 0 without label."""
-    if not axis.label.get_text():
-        return 0.0
-    axis.label.set_visible(False)
-    ticks = axis.get_tightbbox()
-    axis.label.set_visible(True)
-    outside = 0.0 if ticks is None else max(0.0, axes.bbox.min[side] - ticks.min[side])
-    return float(outside) / axes.figure.dpi + axis.labelpad / _POINTS

@@ -11,27 +11,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 
-from vibrojax.errors import InputError
-from vibrojax.pictures import axes, contents
-from vibrojax.pictures.colours import (
-    REGIME_COLOURS,
-    SENSITIVE_KEY,
-    SINGLE,
-    Value,
-    form_colour,
-    regime_cells,
-    regime_colour_map,
-    regime_keys,
-    regimes_in,
-    value_axis,
-    value_of,
-    values_beside,
+from vibrojax.errors import InputError, counted
+from vibrojax.pictures import axes, colours, contents
+from vibrojax.pictures.colours import Value
+from vibrojax.pictures.contents import FORM, POINT, RATE, REGIME, RELIEF, SENSITIVE, START, is_numeric, lane_dims
+from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, PAGE, STACK_MARGINS, at, facets
+from vibrojax.pictures.plots import (
+    INK,
+    Area,
+    Axis,
+    Cells,
+    Dash,
+    Key,
+    Layer,
+    Line,
+    Look,
+    Plot,
+    Points,
+    Sheet,
+    dots,
+    key,
+    level,
 )
-from vibrojax.pictures.contents import FORM, MOST_LINES, POINT, REGIME, SENSITIVE, START, is_numeric, lane_dims, some_of
-from vibrojax.pictures.plots import Area, Axis, Cells, Dash, Layer, Line, Plot, Points, Sheet, key, level
-from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, PAGE, Facets, at, facets
 from vibrojax.pictures.style import BIT, ROCK_COLOURS, line_colours, nested_line, other_colour, start_colour
 
 MOST_ROWS = 4
@@ -42,6 +45,15 @@ _TITLE_ROOM = 0.6  # height [inches] of the title and the labels of a stack
 _SHARES_HEIGHT = 1.1  # inches
 _DISTINCT_HEIGHTS = 1000  # number of heights on a panel that the eye can distinguish
 _MARGINS = 2.6  # page height [inches] for title, notes and the figure's margins
+_SLIP, _PEAK = "slip_per_impact", "peak_impact_force"
+_MANY_LANES = 40  # number of lanes per line from which on markers are small
+_CONSTANT = 1e-6  # largest relative range of values that count as constant
+_BEYOND = 1.05  # greatest value on an axis, in units of the greatest value in the data
+_MARKS: dict[str, tuple[str, Look]] = {
+    "single": ("single impact", {"marker": "o"}),
+    "other": ("other motion", {"marker": "x"}),
+    "none": ("no penetration", {"marker": "o", "face": "white", "order": 4.0}),
+}
 
 Lanes = Float[np.ndarray, " lanes"]
 
@@ -56,10 +68,8 @@ class Series(NamedTuple):
 
 def starts_of(ds: xr.Dataset) -> list[Series]:
     """Return the lanes of each initial condition, with an empty name if there is no dimension `start`."""
-    if START not in lane_dims(ds):
-        return [Series("", start_colour("", 0), ds)]
-    names = [axes.short(str(name)) for name in ds[START].values]
-    return [Series(name, start_colour(name, i), ds.isel({START: i})) for i, name in enumerate(names)]
+    lines = split_lines(ds, START if START in lane_dims(ds) else "")
+    return [line._replace(name=line.name.removeprefix(f"{START}: ")) for line in lines]
 
 
 # Above the regimes.
@@ -70,8 +80,8 @@ def regime_lines(ds: xr.Dataset, x: str | None = None, note: str = "", values: S
 
     Defaults: impact velocity and period, along the longest axis.
     """
-    ds = regimes_in(ds)
-    values = values_beside(ds) if values is None else values
+    ds = colours.regimes_in(ds)
+    values = colours.values_beside(ds) if values is None else values
     x = x or max(contents.axes_to_draw(ds), key=lambda name: ds.sizes[name])
     starts = starts_of(ds) if START in lane_dims(ds) and not contents.many_starts(ds) else []
     looks = [{"marker": "o", "colour": start.colour, **nested_line(k, len(starts))} for k, start in enumerate(starts)]
@@ -86,7 +96,7 @@ def stacks(
     curves: int,
     heights: tuple[float, float],
     draw: Callable[[xr.Dataset], list[Plot]],
-    keys: Sequence[Layer] = (),
+    keys: Sequence[Key] = (),
     note: str = "",
 ) -> Sheet:
     """Draw a picture along `x`: for each facet, the `curves` plots that `draw` returns, above the strip of regimes.
@@ -114,7 +124,7 @@ def stacks(
         plots,
         (_STACK_WIDTHS[wide], stack_height * deep + 0.7),
         heights=(*[height] * curves, strip) * deep,
-        keys=[keys, regime_keys([facet[REGIME] for facet in panels.data])],
+        keys=[keys, colours.regime_keys([facet[REGIME] for facet in panels.data])],
         **axes.margins(ds, axes.certified_text(ds), panels.note, together, note),
     )
 
@@ -129,8 +139,8 @@ def lane_dots(along: Lanes, values: Lanes, regimes: Lanes, size: float) -> Point
     rows = np.round(_DISTINCT_HEIGHTS * (values[known] - values[known].min(initial=np.inf)) / (height or 1.0))
     different = np.unique(np.stack([along[known], rows, regimes[known]]), axis=1, return_index=True)[1]
     order = np.random.default_rng(0).permutation(known[different])
-    colours = [REGIME_COLOURS[flag] for flag in regimes[order].astype(int).tolist()]
-    return Points(along[order], values[order], colours, size, clip=False)
+    shown = [colours.REGIME_COLOURS[flag] for flag in regimes[order].astype(int).tolist()]
+    return Points(along[order], values[order], shown, size, clip=False)
 
 
 def dot_size(values: int) -> float:
@@ -141,18 +151,18 @@ def dot_size(values: int) -> float:
 def _strip(facet: xr.Dataset, x: str) -> Plot:
     """Draw the regimes along `x`: a row of coloured cells per initial condition, or the regime fractions of many."""
     by_start = facet if START in lane_dims(facet) else facet.expand_dims(START)
-    rows, along = regime_cells(by_start[REGIME].transpose(START, x)), axes.values_along(facet[x])
+    rows, along = colours.regime_cells(by_start[REGIME].transpose(START, x)), axes.values_along(facet[x])
     if contents.many_starts(facet):  # each column sorted, single impacts first: the height of a colour is its share
-        ordered = np.sort(np.where(rows == SINGLE, -1.0, rows), axis=0)
-        rows = np.where(ordered == -1.0, float(SINGLE), ordered)
-        shares = Cells(axes.edges(along), np.linspace(0.0, 100.0, len(rows) + 1), rows, *regime_colour_map())
+        ordered = np.sort(np.where(rows == colours.SINGLE, -1.0, rows), axis=0)
+        rows = np.where(ordered == -1.0, float(colours.SINGLE), ordered)
+        shares = Cells(axes.edges(along), np.linspace(0.0, 100.0, len(rows) + 1), rows, *colours.regime_colour_map())
         return Plot([shares], y=Axis("starts\n[%]", limits=(0.0, 100.0)), name="regimes")
     ends = np.arange(len(rows) + 1) - 0.5
-    layers: list[Layer] = [Cells(axes.edges(along), ends, rows, *regime_colour_map())]
+    layers: list[Layer] = [Cells(axes.edges(along), ends, rows, *colours.regime_colour_map())]
     layers += [level(between, colour="#FFFFFF") for between in ends[1:-1]]
     if SENSITIVE in facet:
         row, column = np.nonzero(by_start[SENSITIVE].transpose(START, x).values == 1)
-        layers += [replace(SENSITIVE_KEY, x=along[column], y=row)] if row.size else []
+        layers += [replace(colours.SENSITIVE_KEY, x=along[column], y=row)] if row.size else []
     ticks = [(float(k), start.name) for k, start in enumerate(starts_of(facet))]
     return Plot(layers, y=Axis(ticks=ticks, limits=(-0.5, len(rows) - 0.5), reversed=True), name="regimes")
 
@@ -164,11 +174,13 @@ def value_plots(facet: xr.Dataset, values: Sequence[Value], x: str) -> list[Plot
         if contents.many_starts(facet):
             heights, regimes = (data.transpose(x, START) for data in (value.of(facet), facet[REGIME]))
             along = np.repeat(axes.values_along(facet[x]), heights.sizes[START])
-            cells = regime_cells(regimes).ravel()
+            cells = colours.regime_cells(regimes).ravel()
             layers: list[Layer] = [lane_dots(along, heights.values.ravel(), cells, dot_size(facet.sizes[x]))]
         else:
             layers = value_lines(starts_of(facet), value, lambda lanes: axes.values_along(lanes[x]))
-        plots.append(Plot(layers, y=value_axis(value, value.label.replace(" [", "\n["), zero="zero everywhere")))
+        plots.append(
+            Plot(layers, y=colours.value_axis(value, value.label.replace(" [", "\n["), zero="zero everywhere"))
+        )
     return plots
 
 
@@ -250,7 +262,7 @@ def longest_axis(ds: xr.Dataset) -> Across:
 def axis_of_lines(ds: xr.Dataset, along: str) -> str:
     """Return the axis with one line per value: the longest except `along`, `start` only if there is no other."""
     if POINT in lane_dims(ds):
-        sizes = {name: count for name, count in contents.varied(ds, names=True).items() if count <= MOST_LINES}
+        sizes = {name: count for name, count in contents.varied(ds, names=True).items() if count <= contents.MOST_LINES}
     else:
         sizes = {name: ds.sizes[name] for name in (*contents.swept(ds), *contents.named_axes(ds))}
     rest = [name for name in sizes if name != along]
@@ -269,7 +281,7 @@ def split_lines(ds: xr.Dataset, by: str) -> list[Series]:
         if is_numeric(ds[by]):
             colour = graded[position]
         elif by == FORM:
-            colour = form_colour(value)
+            colour = colours.form_colour(value)
         else:
             colour = start_colour(value, position) if by == START else ROCK_COLOURS.get(value, other_colour(position))
         name = axes.value_text(ds[by], value).removeprefix("rock: ").removeprefix("form: ")
@@ -280,14 +292,8 @@ def split_lines(ds: xr.Dataset, by: str) -> list[Series]:
 def line_keys(ds: xr.Dataset, by: str, **look: Any) -> list[Line]:
     """Return the legend entries for lines; of too many lines, an even selection from the first to the last."""
     lines = split_lines(ds, by) if by else []
-    chosen = [lines[i] for i in some_of(len(lines))]
+    chosen = [lines[i] for i in contents.some_of(len(lines))]
     return [key(line.name, **{"marker": "o", "size": 4.0, "colour": line.colour, **look}) for line in chosen]
-
-
-def rows_of(panels: Facets, quantities: int) -> dict[str, Any]:
-    """Return the size of a sheet with one row per facet, and room for a legend at the right."""
-    count = len(panels)
-    return {"size": (_PANEL_WIDTH * quantities + LEGEND_WIDTH, (2.9 if count == 1 else 2.3) * count + 0.8)}
 
 
 def row_per_facet(
@@ -295,7 +301,7 @@ def row_per_facet(
     x: Across,
     by: str,
     draws: Sequence[Callable[[list[Series]], Plot]],
-    keys: Sequence[Sequence[Layer]],
+    keys: Sequence[Sequence[Key]],
     *notes: str,
 ) -> Sheet:
     """Draw curves over `x`, with a line per value of `by`: a row for each facet, and a column for each of `draws`.
@@ -307,7 +313,9 @@ def row_per_facet(
         for column, draw in enumerate(draws):
             above = "" if column else title
             plots.append(replace(draw(split_lines(facet, by)), title=above, place=(row, column), at=at(facet)))
-    return Sheet(plots, keys=keys, **rows_of(panels, len(draws)), **axes.margins(ds, panels.note, *notes))
+    height = 2.9 if len(panels) == 1 else 2.3
+    size = _PANEL_WIDTH * len(draws) + LEGEND_WIDTH, height * len(panels) + STACK_MARGINS
+    return Sheet(plots, size, keys=keys, **axes.margins(ds, panels.note, *notes))
 
 
 def curves(ds: xr.Dataset, names: Sequence[str], note: str = "") -> Sheet:
@@ -321,7 +329,82 @@ def curves(ds: xr.Dataset, names: Sequence[str], note: str = "") -> Sheet:
     dash, across = x.dash(ds), x.axis(ds)
 
     def draw(lines: list[Series], value: Value) -> Plot:
-        return Plot(value_lines(lines, value, x.of, dash), across, value_axis(value, group=value.name))
+        return Plot(value_lines(lines, value, x.of, dash), across, colours.value_axis(value, group=value.name))
 
-    draws = [partial(draw, value=value_of(ds[name])) for name in names]
+    draws = [partial(draw, value=colours.value_of(ds[name])) for name in names]
     return row_per_facet(ds, x, by, draws, [line_keys(ds, by, dash=dash)], note)
+
+
+# Rates of penetration.
+
+
+def rates(ds: xr.Dataset) -> Sheet:
+    """Draw the rate of penetration over the longest axis and over the relief P/D, and the slip or the force per blow.
+
+    Colours distinguish the values of the second longest axis. Further axes become rows, at most four; a note lists the
+    values shown if not all fit. Hollow markers are lanes without penetration; crosses are motions other than a single
+    impact. A list of points is drawn over the parameter with the most values.
+    """
+    ds = contents.rates_in(ds)
+    x = longest_axis(ds)
+    by = axis_of_lines(ds, x.name)
+    ds = ds.sortby(x.name) if x.is_number else ds
+    dash = x.dash(ds)
+    named = bool(by) and not is_numeric(ds[by]) and bool(dash)  # starts or rocks, whose lines may coincide
+
+    def from_zero(name: str, label: str, factor: float = 1.0, zero: str = "") -> Axis:
+        """Return an axis from zero, to show whether lines pass through it."""
+        top = _BEYOND * factor * float(ds[name].max(skipna=True).fillna(0.0)) or 1.0
+        return Axis(label, name, (-0.03 * top, top), group=name, zero=zero)
+
+    def draw(lines: list[Series], name: str, over_relief: bool) -> Plot:
+        factor, unit = axes.scale(ds[name])
+        up = from_zero(name, axes.with_unit(colours.words_for(name), unit), factor, "no penetration")
+        layers: list[Layer] = []
+        for k, line in enumerate(lines):
+            places = np.atleast_1d(line.lanes[RELIEF].values) if over_relief else x.of(line.lanes)
+            look = nested_line(k, len(lines)) if named else {"dash": dash}
+            layers += _rate_layers(line, places, factor * np.atleast_1d(line.lanes[name].values), look)
+        return Plot(layers, from_zero(RELIEF, colours.words_for(RELIEF)) if over_relief else x.axis(ds), up)
+
+    def varies(name: str) -> bool:
+        """Return whether a variable varies along any of the lines."""
+        dimension = x.name if x.name in ds[name].dims else POINT
+        if dimension not in ds[name].dims:
+            return False
+        swing = ds[name].max(dimension) - ds[name].min(dimension)
+        return bool((swing > _CONSTANT * np.abs(ds[name]).max()).any())
+
+    each_blow = [name for name in (_PEAK, _SLIP) if name in ds]
+    drawn = [(RATE, False), *([(RATE, True)] if RELIEF in ds and varies(RELIEF) else [])]
+    drawn += [(max(each_blow, key=varies), False)] if each_blow else []
+    lines = line_keys(ds, by, dash=dash)
+    if named:
+        lines = [replace(each, **nested_line(k, len(lines))) for k, each in enumerate(lines)]
+    motions = [name for name, mask in _motions(ds).items() if mask.any() and (name == "none" or REGIME in ds)]
+    marks = [dots(label=_MARKS[name][0], colour=INK, **{"size": 4.5} | _MARKS[name][1]) for name in motions]
+    count = int(np.isnan(ds[RATE].values).sum())
+    missing = f"{count} of {counted(ds[RATE].size, 'lane')} without a rate" if count else ""
+    draws = [partial(draw, name=name, over_relief=over_relief) for name, over_relief in drawn]
+    return row_per_facet(ds, x, by, draws, [lines, marks], missing)
+
+
+def _rate_layers(line: Series, places: Lanes, values: Lanes, look: Look) -> list[Layer]:
+    """Return one line, interrupted at jumps between a single impact and another motion, and markers of its motions."""
+    motions = _motions(line.lanes)
+    jumps = 1 + np.flatnonzero(np.diff(motions["other"].astype(int)))
+    x, y = (np.insert(np.asarray(along, float), jumps, np.nan) for along in (places, values))
+    layers: list[Layer] = [Line(x, y, colour=line.colour, **look)]
+    size = look.get("size", 3.8) if values.size < _MANY_LANES else 2.0
+    for motion, mask in motions.items():
+        if mask.any():
+            mark = _MARKS[motion][1] | {"size": size + (motion == "none"), "colour": line.colour, "clip": False}
+            layers.append(dots(places[mask], values[mask], **mark))
+    return layers
+
+
+def _motions(lanes: xr.Dataset) -> dict[str, Bool[np.ndarray, "*lanes"]]:
+    """Return masks of the lanes with a single impact, another motion, and a single impact without penetration."""
+    nothing = np.atleast_1d(lanes[RATE].values) == 0
+    single = np.atleast_1d(lanes[REGIME].values) == colours.SINGLE if REGIME in lanes else np.ones(nothing.shape, bool)
+    return {"single": single & ~nothing, "other": ~single, "none": single & nothing}

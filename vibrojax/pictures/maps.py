@@ -11,46 +11,19 @@ from contourpy import contour_generator
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import kind_of
 from vibrojax.lazy import colors, ticker
-from vibrojax.pictures import axes, contents
-from vibrojax.pictures.colours import (
-    REGIME_COLOURS,
-    SENSITIVE_KEY,
-    SINGLE,
-    Value,
-    cell_keys,
-    regime_counts,
-    regime_names,
-    regime_value,
-    regimes_in,
-    values_beside,
-    values_of_rock,
-)
+from vibrojax.pictures import axes, colours, contents
+from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, RELIEF, SENSITIVE, START, lane_dims, varied
-from vibrojax.pictures.fitting import WIDTH
+from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, Facets, at, facets, is_narrow
 from vibrojax.pictures.overlays import check_borders, codim2_layers, over_map_text, over_panel
-from vibrojax.pictures.plots import (
-    INK,
-    Axis,
-    Bars,
-    Cells,
-    Layer,
-    Line,
-    Look,
-    Plot,
-    Points,
-    Sheet,
-    Text,
-    colours_of,
-    dots,
-)
-from vibrojax.pictures.sheet import LEGEND_WIDTH, MOST_PANELS, Facets, at, facets
-from vibrojax.pictures.style import NO_VALUE, NOTHING
+from vibrojax.pictures.plots import Axis, Bars, Cells, Layer, Line, Look, Plot, Points, Sheet, Text, colours_of, dots
+from vibrojax.pictures.style import INK, NO_VALUE, NOTHING
 
 Values = Sequence[Value]
 
 _MOST_BESIDE = 3  # for up to this many facets, quantities are to the right of the regimes, else below
 _MOST_COLUMNS = 6
-_NARROW, _NARROW_COLUMNS = 4.5, 2  # width [inch] of a picture up to which many facets show one quantity, in two columns
+_NARROW_COLUMNS = 2  # of a narrow picture, in which many facets show one quantity
 _SQUARE_FROM, _SQUARE_COLUMNS = 4, (2, 3)  # number of quantities from which a single facet has several rows
 _MOST_RATES = {1: 4, 2: 3, 3: 3}  # quantities on maps of rates, by the number of facets; else only the rate
 _MOST_RATE_FACETS = 9
@@ -83,7 +56,7 @@ def maps_of(
     """
     count, many = len(panels), len(values)
     if blocks := count > _MOST_BESIDE:
-        of_facets = panels.places(_NARROW_COLUMNS if _is_narrow() else _MOST_COLUMNS)
+        of_facets = panels.places(_NARROW_COLUMNS if is_narrow() else _MOST_COLUMNS)
         block = 1 + max(row for row, _ in of_facets)
         places = [(row + i * block, column) for row, column in of_facets for i in range(many)]
     else:
@@ -108,23 +81,16 @@ def maps_of(
     return Sheet(sorted(plots, key=lambda plot: plot.place), size)
 
 
-def _is_narrow() -> bool:
-    return (WIDTH.get() or np.inf) <= _NARROW
-
-
 def region(x: xr.DataArray, y: xr.DataArray) -> list[Line]:
     """Return the border of the source's region of best single impacts, closed at the edge of the map."""
     if {x.name, y.name} != set(REGION):
         return []
-    (west, east), (south, north) = (np.clip(REGION[str(data.name)], *_ends(data)).tolist() for data in (x, y))
+    ends = (np.clip(REGION[str(data.name)], float(data.min()), float(data.max())) for data in (x, y))
+    (west, east), (south, north) = (pair.tolist() for pair in ends)
     if west >= east or south >= north:
         return []
     corners = [west, east, east, west, west], [south, south, north, north, south]
     return [Line(*corners, width=1.3, halo=0.85, label="source's best region", order=3.0)]
-
-
-def _ends(data: xr.DataArray) -> tuple[float, float]:
-    return float(data.min()), float(data.max())
 
 
 def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: Sequence[xr.Dataset] = ()) -> Sheet:
@@ -134,7 +100,7 @@ def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over:
     points, lines = POINT in lane_dims(ds), False
     ds = ds if points else ds.sortby([x, y])
     panels = split_starts(ds) if points else facets(ds, (x, y), MOST_PANELS // (1 + (len(values) >= _MANY_VALUES)))
-    if len(panels) > _MOST_BESIDE and _is_narrow() and values[1:]:
+    if len(panels) > _MOST_BESIDE and is_narrow() and values[1:]:
         names = ", ".join(value.name for value in values[1:])
         values, notes = values[:1], (*notes, f"Room for one variable in this width; not shown: {names}")
 
@@ -150,7 +116,7 @@ def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over:
     sheet = maps_of(panels, values, ds[x], ds[y], layers_of, points)
     texts = dict.fromkeys(over_map_text(layer, lines) for layer in over)
     about = axes.margins(ds, axes.certified_text(ds), panels.note, *notes, *texts)
-    return replace(sheet, keys=[cell_keys(panels.data, values)], **about)
+    return replace(sheet, keys=[colours.cell_keys(panels.data, values)], **about)
 
 
 def regime_grid(ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Sheet:
@@ -159,13 +125,15 @@ def regime_grid(ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Sheet:
     Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
     are shown.
     """
-    ds = regimes_in(ds)
+    ds = colours.regimes_in(ds)
     x, y = varied(ds) if POINT in lane_dims(ds) else contents.axes_of_map(ds)
     if (x, y) == ("beta", "gamma"):
         x, y = y, x
     # Curves and their points need the width of the page.
     alone = any(kind_of(layer) == "curves" for layer in over)
-    return map_sheet(ds, x, y, [regime_value(ds[REGIME]), *([] if alone else values_beside(ds))], over=over)
+    return map_sheet(
+        ds, x, y, [colours.regime_value(ds[REGIME]), *([] if alone else colours.values_beside(ds))], over=over
+    )
 
 
 def rate_grid(ds: xr.Dataset) -> Sheet:
@@ -175,12 +143,12 @@ def rate_grid(ds: xr.Dataset) -> Sheet:
     note.
     """
     ds = contents.rates_in(ds)
-    values = values_of_rock(ds)
+    values = colours.values_of_rock(ds)
     if POINT in lane_dims(ds):
         names = tuple(varied(ds))
         if len(names) != 2:
             raise InputError(f"no map: {', '.join(names) or 'none'} is what varies over the points, not two parameters")
-        regimes = [regime_value(ds[REGIME])] if REGIME in ds else []
+        regimes = [colours.regime_value(ds[REGIME])] if REGIME in ds else []
         return map_sheet(ds, *names, [*regimes, *values[: _MOST_RATES[3]]])
     x, y = contents.axes_of_map(ds, *contents.long_axes(ds))
     ds = ds.sortby([x, y])
@@ -196,7 +164,9 @@ def rate_grid(ds: xr.Dataset) -> Sheet:
     fixed = [ds[name].assign_attrs(symbol=text) for name, text in _SYMBOLS.items() if name in ds and name not in given]
     texts = [axes.value_text(data, float(data.max())) for data in fixed if data.notnull().any()]
     about = axes.margins(ds, panels.note, point=", ".join(filter(None, (axes.point_text(ds), *texts))))
-    return replace(maps_of(panels, shown, ds[x], ds[y], layers_of), keys=[cell_keys(panels.data, shown)], **about)
+    return replace(
+        maps_of(panels, shown, ds[x], ds[y], layers_of), keys=[colours.cell_keys(panels.data, shown)], **about
+    )
 
 
 # Cells of a grid.
@@ -216,7 +186,7 @@ def cell_layers(facet: xr.Dataset, value: Value, x: str, y: str) -> list[Layer]:
         white = colors.ListedColormap([NOTHING, "#FFFFFF00"], name="nothing")
         layers.append(Cells(right, top, np.where(cells == 0, 0.0, 1.0), white, colors.Normalize(0.0, 1.0), order=0.5))
     if REGIME in facet:
-        single = facet[REGIME].transpose(y, x).values == SINGLE
+        single = facet[REGIME].transpose(y, x).values == colours.SINGLE
         across, along = np.argwhere(single[:, 1:] != single[:, :-1]), np.argwhere(single[1:] != single[:-1])
         lines = [(right[j + 1], right[j + 1], np.nan, top[i], top[i + 1], np.nan) for i, j in across]
         lines += [(right[j], right[j + 1], np.nan, top[i + 1], top[i + 1], np.nan) for i, j in along]
@@ -232,7 +202,7 @@ def _marks(facet: xr.Dataset, x: str, y: str) -> list[Layer]:
     # Two lines: a longer legend entry would make its panel wider than the others.
     hidden = dots(label="same label, other motion\nfrom another start", size=2.8, edge="white", edge_width=0.4)
     layers: list[Layer] = []
-    for name, mark in ((HIDDEN, hidden), (SENSITIVE, SENSITIVE_KEY)):
+    for name, mark in ((HIDDEN, hidden), (SENSITIVE, colours.SENSITIVE_KEY)):
         rows, columns = np.nonzero(facet[name].transpose(y, x).values == 1) if name in facet else ((), ())
         if len(rows):
             layers.append(replace(mark, x=axes.values_along(facet[x])[columns], y=axes.values_along(facet[y])[rows]))
@@ -332,13 +302,13 @@ def split_starts(ds: xr.Dataset) -> Facets:
 
 def regime_bars(ds: xr.Dataset) -> Sheet:
     """Draw the number of lanes in each regime, one panel per initial condition."""
-    ds = regimes_in(ds)
+    ds = colours.regimes_in(ds)
     panels = split_starts(ds)
-    counts = [regime_counts([facet[REGIME]]) for facet in panels.data]
-    occurring, names = sorted(set().union(*counts)), regime_names(ds[REGIME])
+    counts = [colours.regime_counts([facet[REGIME]]) for facet in panels.data]
+    occurring, names = sorted(set().union(*counts)), colours.regime_names(ds[REGIME])
     wide = min(len(panels), _MOST_BAR_COLUMNS)
     deep = -(-len(panels) // wide)
-    colours = [REGIME_COLOURS[flag] for flag in occurring]
+    shown = [colours.REGIME_COLOURS[flag] for flag in occurring]
     most = max((n for count in counts for n in count.values()), default=1)
     across = Axis("lanes", limits=(0.0, 1.4 * most), intervals=min(most, 5), group="lanes")
     places = np.arange(len(occurring), dtype=float)
@@ -352,7 +322,7 @@ def regime_bars(ds: xr.Dataset) -> Sheet:
             for n, place in zip(lanes, places, strict=True)
             if n
         ]
-        bars = Bars(np.zeros(len(lanes)), places - 0.4, np.array(lanes), np.full(len(lanes), 0.8), colours, "#595959")
+        bars = Bars(np.zeros(len(lanes)), places - 0.4, np.array(lanes), np.full(len(lanes), 0.8), shown, "#595959")
         plots.append(Plot([bars, *texts], across, up, title, divmod(k, wide), grid=""))
     size = 1.6 + 3.0 * wide, 0.6 + deep * (0.6 + 0.32 * max(len(occurring), 2))
     return Sheet(plots, size, **axes.margins(ds, axes.certified_text(ds)))

@@ -9,19 +9,9 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import kind_of
+from vibrojax.pictures import branches
 from vibrojax.pictures.axes import edges, number, scale, short, values_along
-from vibrojax.pictures.branches import (
-    FAMILY,
-    MARKS,
-    along_name,
-    branches,
-    family_layers,
-    family_numbers,
-    kind_names,
-    ranges_text,
-    special_keys,
-    stability_keys,
-)
+from vibrojax.pictures.branches import FAMILY, MARKS
 from vibrojax.pictures.contents import IMPACTS_OF_RETURNS, START, is_numeric
 from vibrojax.pictures.plots import FAINT, Dash, Layer, Line, Look, dots
 from vibrojax.pictures.style import DASHED
@@ -102,7 +92,7 @@ def check_families(ds: xr.Dataset, layers: Sequence[xr.Dataset], x: str) -> None
     for over in layers:
         if not isinstance(over, xr.Dataset) or kind_of(over) != "family":
             raise InputError("over: no families of orbits; give what vj.follow or vibrojax follow has made")
-        along = along_name(over)
+        along = branches.along_name(over)
         if along != x:
             raise InputError(f"over: the families are along {along}, and the returns over {x}; follow along {x}")
         _check_machine(ds, over, "families", "returns", "follow those of")
@@ -125,24 +115,16 @@ def over_layers(layers: Sequence[xr.Dataset], facet: xr.Dataset, x: str, name: s
     within, shown = (float(ends[0]), float(ends[-1])), []
     for over in layers:
         if name in over:
-            numbers = family_numbers(over)
+            numbers = branches.family_numbers(over)
             fitting = numbers[_occurring(over, facet, len(numbers), (x, FAMILY))]
-            lines = [branch for branch in branches(over) if branch.family in fitting]
-            shown += family_layers(over, lines, name, thin=True, factor=factor, within=within)
+            lines = [branch for branch in branches.branches(over) if branch.family in fitting]
+            shown += branches.family_layers(over, lines, name, factor=factor, within=within)
     return shown
-
-
-def over_keys(layers: Sequence[xr.Dataset]) -> list[Layer]:
-    """Return the legend entries for families, without duplicates."""
-    keys: dict[str, Line] = {}
-    for over in layers:
-        keys |= {each.label: each for each in (*stability_keys(over, " orbit"), *special_keys(over, count=False))}
-    return [*(keys[name] for name in keys if name not in MARKS), *(keys[name] for name in MARKS if name in keys)]
 
 
 def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
     """Return kind and parameter value of each special point of families, except points of kind "end"."""
-    points = zip(kind_names(over), over["special_value"].values.tolist(), strict=True)
+    points = zip(branches.kind_names(over), over["special_value"].values.tolist(), strict=True)
     return [point for point in points if point[0] != "end"]
 
 
@@ -155,7 +137,7 @@ def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset], shown: str) -> str:
         return "Lines: orbits that were followed" + ", each at one of its returns" * longer
     several = "return_impacts" in ds and bool((ds["return_impacts"].values > 1).any())
     mean = "A dot is the mean of the blows since the return before" if several else ""
-    ranges = {ranges_text(over, (variable_over(shown),)) for over in layers}
+    ranges = {branches.ranges_text(over, (variable_over(shown),)) for over in layers}
     return ". ".join(filter(None, ("Lines: orbits that were followed", *sorted(ranges), mean)))
 
 

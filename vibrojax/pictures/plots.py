@@ -124,14 +124,14 @@ class Text:
     size: float = 9.0
     relative: bool = False
     halo: float = 0.0
-    box: bool = False
     offset: tuple[float, float] = (0.0, 0.0)
-    label: str = ""
     order: float = 4.0
 
 
-Labelled = Line | Points | Bars | Area | Text
-Layer = Labelled | Cells
+Key = Line | Area
+"""An entry of a legend."""
+
+Layer = Line | Points | Bars | Area | Cells | Text
 
 
 def dots(*args: Any, **look: Any) -> Line:
@@ -186,7 +186,6 @@ class Axis:
     intervals: int = 0
     group: str = ""
     zero: str = ""
-    margin: float = _MARGIN
     rotated: bool = False
 
 
@@ -234,7 +233,6 @@ class Sheet:
 
     - `size`: width and height [inch], without the further lines of title and note.
     - `keys`: groups of legend entries, before those of the layers with labels.
-    - `above`: a further sheet above the plots, within the size of this one.
     - `beside`: whether the legend is at the right of the plots, not below.
     """
 
@@ -242,21 +240,15 @@ class Sheet:
     size: tuple[float, float] = (6.4, 4.8)
     widths: Sequence[float] = ()
     heights: Sequence[float] = ()
-    keys: Sequence[Sequence[Layer]] = ()
+    keys: Sequence[Sequence[Key]] = ()
     title: str = ""
     note: str = ""
-    above: "Sheet | None" = None
     beside: bool = True
 
     def __post_init__(self) -> None:
         for k, name in enumerate(("heights", "widths")):
             count = max((plot.span[k] + plot.span[k + 2] for plot in self.plots), default=1)
             object.__setattr__(self, name, getattr(self, name) or (1.0,) * count)
-
-    @property
-    def parts(self) -> "tuple[Sheet, ...]":
-        """The sheet above the plots, if any, and this one."""
-        return (self,) if self.above is None else (self.above, self)
 
 
 Picture = Sheet | Sequence[Plot]
@@ -272,21 +264,32 @@ def as_sheet(plots: Picture) -> Sheet:
 
 
 def plots_of(sheet: Sheet) -> list[Plot]:
-    """Return all plots of a sheet, those above first."""
-    return [plot for part in sheet.parts for plot in resolved(part.plots)]
+    """Return the plots of a sheet with the limits of their axes."""
+    return resolved(sheet.plots)
 
 
-def legend_of(sheet: Sheet) -> list[list[Layer]]:
-    """Return the groups of legend entries: the keys of the sheet, and layers with labels, each text once."""
-    plots = [plot for part in sheet.parts for plot in part.plots if not plot.keys]
-    labelled: list[Layer] = [*{layer.label: layer for plot in plots for layer in labelled_layers(plot)}.values()]
+def legend_of(sheet: Sheet) -> list[list[Key]]:
+    """Return the groups of legend entries: the keys of the sheet, and those of layers with labels, each text once."""
+    entries = [entry for plot in sheet.plots if not plot.keys for entry in labelled_layers(plot)]
+    labelled = list({entry.label: entry for entry in entries}.values())
     return [group for group in (*map(list, sheet.keys), labelled) if group]
 
 
-def labelled_layers(plot: Plot) -> list[Labelled]:
-    """Return the layers of a plot that have a label, each text once."""
-    layers: list[Labelled] = [layer for layer in plot.layers if not isinstance(layer, Cells) and layer.label]
-    return list({layer.label: layer for layer in layers}.values())
+def labelled_layers(plot: Plot) -> list[Key]:
+    """Return the legend entries of the layers of a plot that have a label, each text once."""
+    entries: dict[str, Key] = {}
+    for layer in plot.layers:
+        if isinstance(layer, Cells | Text) or not layer.label:
+            continue
+        if isinstance(layer, Points | Bars):
+            look: Look = {"colour": str(np.atleast_1d(layer.colours)[0]), "label": layer.label}
+            if isinstance(layer, Points):
+                entries[layer.label] = dots(marker=layer.marker, size=float(np.max(layer.sizes)), **look)
+            else:
+                entries[layer.label] = Area(edge=layer.edge, hatch=layer.hatch, **look)
+        else:
+            entries[layer.label] = layer
+    return list(entries.values())
 
 
 def resolved(plots: Sequence[Plot]) -> list[Plot]:
@@ -325,7 +328,7 @@ def _limits(plots: Sequence[Plot], which: str) -> tuple[float, float] | None:
     if ends[1] - ends[0] <= _ROUNDING * np.abs(ends).max():
         room = np.log(1.1) if first.log else 0.1 * float(np.abs(ends).max()) or 1.0
     else:
-        room = 0.0 if any(plot.has_cells for plot in plots) else first.margin * float(np.ptp(ends))
+        room = 0.0 if any(plot.has_cells for plot in plots) else _MARGIN * float(np.ptp(ends))
     low, high = (float(end) for end in back(ends + [-room * (not lows), room * (not highs)]))
     return (low, high) if high > low else (low, low + (room or 1.0))
 

@@ -17,7 +17,7 @@ from vibrojax.pictures.colours import Value, regime_cells, regimes_in, values_be
 from vibrojax.pictures.contents import DIRECTION, IMPACTS_OF_RETURNS, REGIME, RETURN, START
 from vibrojax.pictures.lines import Lanes, dot_size, lane_dots, stacks, starts_of, value_plots
 from vibrojax.pictures.overlays import Overlays
-from vibrojax.pictures.plots import Axis, Layer, Look, Plot, Points, Sheet, dots, key, upright
+from vibrojax.pictures.plots import Axis, Key, Layer, Look, Plot, Points, Sheet, dots, key, upright
 from vibrojax.pictures.style import nested_line
 
 Places = Int[np.ndarray, " _"]
@@ -52,13 +52,11 @@ def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = No
     diagrams = 1 if contents.many_starts(ds) else len(starts_of(ds))
     layers = overlays.as_layers(over)
     overlays.check_families(ds, layers, x)
-    grey = [dots(label="all other starts", size=6.5, colour=_OTHERS)] if diagrams > 1 else []
+    grey: list[Key] = [dots(label="all other starts", size=6.5, colour=_OTHERS)] if diagrams > 1 else []
     shown = variable or str(contents.returns_in(ds))
     heights = 1.0 + 2.6 / diagrams, 1.0 + 1.6 / diagrams  # [inch], for one facet and for several
     draw = partial(_return_plots, shown=shown, x=x, layers=layers)
-    return stacks(
-        ds, x, diagrams, heights, draw, [*grey, *overlays.over_keys(layers)], overlays.over_text(ds, layers, shown)
-    )
+    return stacks(ds, x, diagrams, heights, draw, grey, overlays.over_text(ds, layers, shown))
 
 
 def _dots(lanes: xr.DataArray, factor: float, x: str, *dims: str) -> tuple[Lanes, Lanes]:
@@ -122,8 +120,8 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
     lines = [
         ds.isel(dict(zip(others, index, strict=True))) for index in np.ndindex(*(ds.sizes[name] for name in others))
     ]
-    keys: list[Layer] = []
-    marks: list[Layer] = []
+    keys: list[Key] = []
+    marks: list[Key] = []
     for k, way in enumerate(starts_of(ds)):
         look = nested_line(k, 2) if values else {"dash": "", "size": 3.5 if k else 6.0}
         keys.append(key(way.name, colour=way.colour, marker="o", **look))
@@ -135,9 +133,7 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
     note = ". ".join(filter(None, (about, of_families, _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9
     draw = partial(_way_plots, values=values, shown=str(at_returns), x=along, layers=layers)
-    return stacks(
-        ds, along, max(len(values), 1), (height, height), draw, [*keys, *marks, *overlays.over_keys(layers)], note
-    )
+    return stacks(ds, along, max(len(values), 1), (height, height), draw, [*keys, *marks], note)
 
 
 def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:

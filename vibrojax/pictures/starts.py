@@ -6,22 +6,13 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Int
 
-from vibrojax.pictures import axes, contents
-from vibrojax.pictures.colours import (
-    SINGLE,
-    Value,
-    cell_keys,
-    regime_names,
-    regime_value,
-    regimes_in,
-    share_value,
-    values_beside,
-)
+from vibrojax.pictures import axes, colours, contents
+from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, START, lane_dims, swept
+from vibrojax.pictures.layout import LEGEND_WIDTH
 from vibrojax.pictures.lines import regime_lines
 from vibrojax.pictures.maps import map_sheet, point_layers, regime_bars
 from vibrojax.pictures.plots import Plot, Sheet
-from vibrojax.pictures.sheet import LEGEND_WIDTH
 
 PREFIX = "start_"
 """Name prefix of a coordinate that holds an initial state."""
@@ -83,7 +74,7 @@ def left_out_text(ds: xr.Dataset) -> str:
     if not names or not start_states(ds):
         return ""
     if ds[REGIME].dims == (START,):
-        meanings = regime_names(ds[REGIME])
+        meanings = colours.regime_names(ds[REGIME])
         flags = ds[REGIME].values[others].tolist()
         names = [f"{name} ({meanings[flag]})" for name, flag in zip(names, flags, strict=True)]
     return f"Not shown: the start{'s' * (len(names) > 1)} {', '.join(names)}"
@@ -94,9 +85,9 @@ def regime_shares(ds: xr.Dataset) -> xr.Dataset:
 
     Fractions are named `share_single-impact` and so on: single impact first, then by decreasing fraction of all lanes.
     """
-    regimes, names = ds[REGIME], regime_names(ds[REGIME])
+    regimes, names = ds[REGIME], colours.regime_names(ds[REGIME])
     shares = {flag: 100.0 * (regimes == flag).mean(START) for flag in names}
-    flags = sorted(names, key=lambda flag: (flag != SINGLE, -float(shares[flag].mean())))
+    flags = sorted(names, key=lambda flag: (flag != colours.SINGLE, -float(shares[flag].mean())))
     occurring = [flag for flag in flags if bool((shares[flag] > 0).any())] or flags[:1]
     stacked = xr.concat([shares[flag] for flag in occurring], "flag")
     most = xr.DataArray(np.array(occurring, np.int8), dims="flag")[stacked.argmax("flag")]
@@ -159,12 +150,12 @@ def many_starts(ds: xr.Dataset, values: Sequence[Value] | None = None) -> Sheet:
     can be panels, the fraction of initial conditions in each regime is drawn, or the median of `values`. If specified,
     `values` replace the regimes and the quantities next to them.
     """
-    ds = regimes_in(ds)
+    ds = colours.regimes_in(ds)
     if POINT in lane_dims(ds):
         names = list(contents.varied(ds))
         return _over_two(ds, names[0], names[1], values) if len(names) == 2 else regime_bars(ds)
     parameters, spread = swept(ds), on_axes(ds)
-    shown = values or [regime_value(ds[REGIME]), *values_beside(ds)]
+    shown = values or [colours.regime_value(ds[REGIME]), *colours.values_beside(ds)]
     quantities = [value for value in shown if not value.counted]
     states = [name for name in swept(spread) if name.startswith(PREFIX)]
     long = [name for name in parameters if ds.sizes[name] >= contents.ENOUGH]
@@ -193,10 +184,10 @@ def _over_two(ds: xr.Dataset, x: str, y: str, values: Sequence[Value] | None) ->
     most = 1 if set(swept(ds)) - {x, y} else _MOST_SHARES
     shares = regime_shares(ds)
     names = [str(name).removeprefix(SHARE) for name in shares.data_vars if str(name).startswith(SHARE)]
-    shown = [share_value(shares[SHARE + name], name) for name in names[:most]]
+    shown = [colours.share_value(shares[SHARE + name], name) for name in names[:most]]
     note = f"Without a map of its share: {', '.join(names[most:])}" if names[most:] else ""
     about = f"The regime that most of {ds.sizes[START]} starts end in, and the share of them that ends in each"
-    return map_sheet(shares, x, y, [regime_value(shares[REGIME]), *shown], about, note)
+    return map_sheet(shares, x, y, [colours.regime_value(shares[REGIME]), *shown], about, note)
 
 
 def _phase_planes(ds: xr.Dataset, shown: Sequence[Value]) -> Sheet:
@@ -219,5 +210,5 @@ def _phase_planes(ds: xr.Dataset, shown: Sequence[Value]) -> Sheet:
     ]
     size = 3.4 * len(shown) + LEGEND_WIDTH, 3.0 * len(pairs[:3]) + 1.2
     about = axes.margins(ds, axes.certified_text(ds), f"{ds.sizes[START]} starts", left_out_text(ds))
-    keys = cell_keys([ds], [value for value in shown if value.counted])
+    keys = colours.cell_keys([ds], [value for value in shown if value.counted])
     return Sheet(plots, size, keys=[keys], **about)

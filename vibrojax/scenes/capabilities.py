@@ -61,7 +61,7 @@ class HasFriction(Scene[C]):
 
     @abstractmethod
     def flight_rate(self, c: C) -> Any:
-        """Return an upper bound on the rate of change [1/s] without impact, from which too stiff lanes are found."""
+        """Return an upper bound on the rate of change [1/s] without impact, by which too stiff lanes are rejected."""
 
     @abstractmethod
     def spring_rate(self, c: C) -> Any:

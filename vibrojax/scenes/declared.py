@@ -37,7 +37,7 @@ class State(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A discrete state: `name`, `meaning` of its values, and `calmest`, the value in which steps are longest.
+    """A discrete state: `name`, `meaning` of its values, and `calmest`, the value at which steps are longest.
 
     **Example:**
 
@@ -51,7 +51,7 @@ class Mode(NamedTuple):
 
 
 class Marker(NamedTuple):
-    """The zeros of the state `velocity` in either direction. Steps end on these zeros, where the state is set to zero.
+    """An event function, the state `velocity`: steps end on its zeros in either direction, where it is set to zero.
 
     `velocity` need not be a velocity: any state of similar magnitude will do, such as the phase of a forcing. No guard
     may have the same zeros.
@@ -77,7 +77,8 @@ class Guard:
       multiple of the rounding error of a typical value.
     - `slope_resolution`: function `slope_resolution(constants, mode, h)`, the magnitude up to which the first-order
       change over a step `h` [s] counts as zero if the step starts on the guard; None: 16 times `resolution`.
-    - `is_switch`: True if a smoothing stepper spreads the switch over a width, so that the guard is never reached.
+    - `is_switch`: True for a jump of the field, such as that of dry friction, which a smoothing stepper spreads over a
+      width, so that the guard is never reached.
 
     **Example:**
 
@@ -99,8 +100,8 @@ class Swing(NamedTuple):
     """An oscillating state `position`, the state `velocity` that is its rate of change, and the variable `amplitude`.
 
     `amplitude` is the variable's name for half the peak-to-peak range of the position. Steps end on the turning points
-    if a marker has this velocity. `velocity` may be None if no state is the rate of change, but only in the first
-    of the `swings` of a section with `at`.
+    if a marker has this velocity. `velocity` may be None if no state is the rate of change, but only in the first of
+    the `swings`, and only if the section has `at`.
 
     **Example:**
 
@@ -115,16 +116,15 @@ class Swing(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """The Poincaré section: zeros of the velocity of the first of the `swings`, or of the state `at`.
+    """The Poincaré section: the zeros of the state `at`, or else of the velocity of the first of the `swings`.
 
-    The state needs a marker and crosses zero upwards if `rising`, else downwards. Between two section crossings the
-    state must have passed the level `rearm(constants)` in the other direction. A velocity that fluctuates about zero is
-    thus counted once. Periodicity is checked on the positions of all swings and on the velocities of all swings but the
-    first. Positions are scaled by the amplitude, velocities by the amplitude times 2 pi over the time between
-    crossings.
+    The state needs a marker and crosses zero upwards if `rising`, else downwards. Between two crossings it must have
+    passed the level `rearm(constants)` in the other direction, so that a velocity that fluctuates about zero is counted
+    once. Periodicity is checked on the positions of all `swings` and on the velocities of all but the first. Positions
+    are scaled by the amplitude, velocities by the amplitude times 2 pi over the time between crossings.
 
-    A periodically forced motion is autonomous with one more state, the forcing's phase. A guard reduces that phase by
-    one full period at a phase other than zero. A section `at` the phase is stroboscopic.
+    A periodically forced motion becomes autonomous with one additional state, the forcing's phase. A guard must reduce
+    this phase by one full period, at a phase other than zero. A section `at` the phase is stroboscopic.
 
     `typical(constants)` returns typical magnitudes of the positions by name. With it, repeats and equilibria are
     detected as for a `vj.System`.

@@ -83,7 +83,7 @@ class Drilling(VibroImpact, OnRock):
 
 @dataclass(frozen=True)
 class CoupledDrilling(Drilling):
-    """The drilling scene with feedback of the bit's normal motion to the contact (recommendation 1 of the source).
+    """The drilling scene in which the bit's normal motion acts back on the contact (recommendation 1 of the source).
 
     The contact's compression is x2 - delta - (x3 - x4). The drive follows the hole, so the depth does not open the gap.
     """

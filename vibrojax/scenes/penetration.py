@@ -27,7 +27,7 @@ PULSES = table(
 SWEEP = table(
     not_negative("force", 200e3, "N", "amplitude of the swept sine", "A", (50e3, 500e3)),
     not_negative("sweep_start", 0.0, "s-1", "frequency of the swept sine at t = 0", "f₀", (0.0, 100.0)),
-    Parameter("sweep_rate", 10.0, "s-2", "rate of the swept sine's frequency", "r"),
+    Parameter("sweep_rate", 10.0, "s-2", "rate of change of the swept sine's frequency", "r"),
     Parameter("bias", 0.0, "N", "constant part of the force", "B", usual=(20e3, 100e3)),
 )
 

@@ -41,22 +41,23 @@ class Scene(ABC, Generic[C]):
 
     - `name`: name of the scene in sweep files.
     - `states`: the continuous states; `modes`: the discrete states, floats such as 0, 1, -1.
-    - `markers`: states, mostly velocities; steps end on their zeros.
+    - `markers`: event functions, each of them a state (mostly a velocity) whose zeros end a step.
     - `section`: the Poincaré section; None if the scene is measured over the pulses of its prescribed force.
     - `starts`: names of the initial conditions, the default first.
     - `start_states`: states that an initial condition in vector form contains; all other states are then zero. Empty if
       there is only one initial condition.
-    - `measures`: names or objects of the gauges that measure the scene.
+    - `measures`: the gauges (groups of measured quantities) of the scene, as objects or names.
     - `choices`: for each option that is specified by name, a registry of its values by name. An option that is a field
       of the dataclass takes the registry's value unchanged (`friction`, `pulse_shape`). Any other option sets several
       parameters: those that the value has as attributes (`rock` sets `threshold` and `k3`). A subclass extends the
-      registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Input is checked against it.
+      registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Input is checked against the
+      registry.
     - `choice_meanings`: meanings of the choices that set several parameters, for datasets in which they vary.
     - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
-    - `clocks`: states and guards that follow from time alone, so that a motion cannot graze them.
+    - `clocks`: states and guards that depend on time alone, so that a motion cannot graze them.
     - `usual_times`: default times of settling and of the observation [s].
     - `ends_at_once`: True if a mode may begin with a negative guard. The mode then ends at once.
-    - `fault_reasons`: reasons of `fault`, among the flags of the variable `reason`.
+    - `fault_reasons`: reasons why a mode may not be able to go on, among the flags of the variable `reason`.
     - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
     - `redundant`: states that follow from the others, as `on_surfaces` determines them.
 
@@ -108,7 +109,7 @@ class Scene(ABC, Generic[C]):
         """Return the mode in which the motion continues from `state`."""
 
     def on_surfaces(self, c: C, mode: Values, state: Values) -> Values:
-        """Return the initial state exactly on the surfaces on which `mode` holds the motion; here, the state itself."""
+        """Return the initial state, moved onto the surfaces on which `mode` holds the motion; by default, unchanged."""
         return state
 
     @abstractmethod
@@ -117,7 +118,7 @@ class Scene(ABC, Generic[C]):
 
     @abstractmethod
     def guards(self) -> tuple[Guard, ...]:
-        """Return the guards; every call returns the same guards in the same order."""
+        """Return the guards (conditions that end a mode); every call returns the same ones in the same order."""
 
     @abstractmethod
     def reset(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
@@ -150,10 +151,11 @@ class Scene(ABC, Generic[C]):
         return ()
 
     def across_impacts(self, c: C, state: Values) -> list[tuple[Any, Values]]:
-        """Return for each of the `stops` the gap, relative to a typical one, and the state across the impact.
+        """Return, for each of the `stops`, the gap relative to a typical gap, and the state beyond the impact.
 
-        Bodies that approach have bounced, and bodies that separate have not yet. The motion of both sides is
-        extrapolated linearly over the time to the impact, so that the gap should be small; it may be negative.
+        For bodies that approach, this is the state after the impact; for bodies that separate, the state before it. The
+        motion of both sides is extrapolated linearly over the time to the impact, so that the gap should be small; it
+        may be negative.
         """
         return []
 
@@ -189,7 +191,7 @@ class Scene(ABC, Generic[C]):
         return None
 
     def velocity_resolution(self, c: C) -> Any:
-        """Return the velocity [m/s] up to which a velocity counts as zero."""
+        """Return the magnitude [m/s] up to which a velocity counts as zero."""
         scale = self.speed_scale(c)
         return ROUNDINGS * jnp.finfo(scale.dtype).eps * scale
 

@@ -164,7 +164,7 @@ _PACKAGE = str(Path(__file__).parents[1])
 
 
 class UnusualValue(UserWarning):
-    """A value so far outside the usual range (of the source and of rigs) that it is probably not in SI units.
+    """Warning about a value that is probably not in SI units: it is far outside the range in the source and on rigs.
 
     **Example:**
 

@@ -28,7 +28,7 @@ class Small(NamedTuple):
 class Event:
     """The functions whose zeros may end a step in one mode: the guards of the scene and, if `marked`, its markers.
 
-    If the stepper `smooths` the friction switch, the guard of that switch is never reached.
+    If the stepper `smooths` dry friction, the guard of friction is never reached.
     """
 
     scene: Scene[Any]
@@ -71,7 +71,7 @@ class Landing(NamedTuple):
     - `tau`, `state`, `accepted`: if accepted, the step ends in `state` at `tau`. Otherwise it is repeated with `tau` as
       its limit.
     - `hits`: for each guard and marker, by name, a mask of the lanes in which the step ends on it.
-    - `falling`: for each marker, a mask of the lanes in which its zero is a downward crossing.
+    - `falling`: for each marker, a mask of the lanes in which it crosses zero downwards.
     """
 
     tau: Lanes

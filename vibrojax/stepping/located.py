@@ -45,7 +45,7 @@ LEAST_ORDER = 2
 
 @dataclass(frozen=True)
 class Located(Stepper):
-    """The located stepper with Taylor series up to `order`.
+    """The stepper that locates every event and ends a step on it, with Taylor series up to `order`.
 
     Of the settings in `Accuracy`, it uses `stride`, `tolerance` and `step`.
 

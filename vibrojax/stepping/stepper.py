@@ -31,7 +31,7 @@ class Clock(NamedTuple):
 class Lane(NamedTuple):
     """A lane at one instant: clock, continuous state and discrete mode.
 
-    `trial` [s] limits the length of the next trial step. Every leaf has shape (lanes,).
+    `trial` [s] limits the length of the next trial step. Every array has shape (lanes,).
     """
 
     clock: Clock
@@ -47,7 +47,7 @@ class Step(NamedTuple):
     - `polynomials`: `polynomials[i][k]` is the coefficient of tau^k of state i; tau = time/h runs from 0 to `tau`.
     - `h` [s]: unit of tau; `dt` [s]: duration of the step, 0 if no step was taken.
     - `hits`: for each guard and marker, by name, a mask of the lanes whose step ended on it.
-    - `falling`: for each marker, a mask of the lanes in which its zero is a downward crossing.
+    - `falling`: for each marker, a mask of the lanes in which it crosses zero downwards.
     """
 
     before: tuple[Array, ...]
@@ -73,8 +73,8 @@ class Accuracy(NamedTuple):
     """Settings that determine the steps, as numbers or arrays. A change of the settings needs no recompilation.
 
     - `tolerance`: relative magnitude of the last Taylor terms above which a step is shortened (located stepper).
-    - `stride`: longest step in units of 1/rate of the mode; `step`: longest step [s].
-    - `smoothing`: width of the friction switch [m/s] (smoothed stepper).
+    - `stride`: longest step in units of 1/(rate of the mode); `step`: longest step [s].
+    - `smoothing`: sliding velocity [m/s] over which the jump of dry friction is spread (smoothed stepper).
     """
 
     tolerance: Any
@@ -102,7 +102,7 @@ class AccuracyRequest(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The time `end` [s] until which the lanes in the mask `moving` step; the other lanes do not change."""
+    """The time `end` [s] at which the steps end. Only the lanes in the mask `moving` step."""
 
     end: Real
     moving: Flags
@@ -116,9 +116,10 @@ class Stepper(ABC):
 
     - `name`: name of the stepper in sweep files.
     - `order`: order of the method; `degree`: degree of the polynomials that describe a step.
-    - `coarser_by`: ratio of the check run's tolerance or smoothing width to that of the main run.
+    - `coarser_by`: tolerance or smoothing width of the check run (the coarser run that gives the error) over that of
+      the main run.
     - `error_share`: ratio of the estimated error of the main run to the difference of the two runs.
-    - `smooths`: True if the friction switch is spread over a width, so that the bit never sticks.
+    - `smooths`: True if the jump of dry friction is spread over a width, so that the bit never sticks.
     - `rests`: True if motion within rounding error is treated as rest. Lanes that are too stiff or too slow for their
       precision are then rejected.
 
@@ -151,7 +152,7 @@ class Stepper(ABC):
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
-        """Return the lanes after one step, and the step; if `marked`, steps end on markers in addition to guards."""
+        """Return the lanes after one step, and the step; if `marked` is true, steps end on markers besides guards."""
 
     @abstractmethod
     def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:

@@ -20,9 +20,9 @@ HOMES = {
 """Module and class of each of the package's own analyses, which are imported when they are needed."""
 
 WORDS = {
-    "lane": "one point of the parameters from one start, stepped on its own",
+    "lane": "one simulation of a batch: one set of parameter values with one initial condition, its start",
     "section": "the instant at which the bit overtakes the drive",
-    "return": "one passage of the section; period and repeats are counted in returns",
+    "return": "one crossing of the section; periods and repeats are counted in returns",
     "relief P/D": "mean force on the bit over the force D (threshold) at which the rock yields",
     "regime": "how the striker moves: one impact a period (single-impact), several, none, or irregularly (irregular)",
     "orbit": "a motion that repeats exactly; stable if it attracts its neighbourhood",
@@ -34,11 +34,11 @@ WORDS = {
     "period-doubling": "the orbit loses its stability to one that repeats after twice as many returns",
     "torus": "the orbit loses its stability to a motion with a second frequency",
     "branch-point": "another family of orbits crosses, such as the symmetric one of a pair that loses its symmetry",
-    "grazing": "an impact begins or vanishes",
-    "stick": "a stick of the bit, or a slip backwards, begins or vanishes",
-    "section point": "the bit just reaches the drive's speed: from here on, the number of returns differs",
+    "grazing": "an impact appears or vanishes",
+    "stick": "a stick phase of the bit, or a backward slip, appears or vanishes",
+    "section point": "the bit only just overtakes the drive; beyond this point, the number of returns differs",
     "hopf": "the amplitude shrinks to zero at an equilibrium, which changes its stability",
-    "end": "a bound is reached, or the reason why a family goes no further",
+    "end": "a bound is reached, or the family ends for the reason in the note",
     "reading R1, R2, ...": "interpretation of a passage of the source that can be read in two ways",
 }
 

@@ -24,6 +24,7 @@ from vibrojax.pictures.plots import (
     INK,
     Area,
     Axis,
+    Key,
     Layer,
     Line,
     Look,
@@ -105,7 +106,8 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
       measure.
 
     **Returns:** a dataset along `setting` with run times, errors, and failures with their reasons. Its coordinates are
-    the strings scene, method, precision and varied, and the `value` of the varied quantity.
+    the strings `scene`, `method`, `precision` and `varied` (the varied quantity), and `value`, the value of that
+    quantity.
 
     **Raises:** `InputError` for an unknown scene.
 
@@ -334,7 +336,7 @@ def work_precision(ds: xr.Dataset) -> Picture:
         rows = ds.isel({SETTING: ds["scene"].values == scene})
         count = counted(int(rows["lanes"].values[0]), "periodic lane")
         plots.append(Plot(_layers(rows), across, up, scene, divmod(index, wide), remark=count))
-    keys: list[Layer] = [
+    keys: list[Key] = [
         dots(label="down to the median lane", marker="|", size=9.0),
         key("range of the repeats", **_RANGE),
         key("Pareto front", **_BAND),

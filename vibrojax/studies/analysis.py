@@ -97,19 +97,19 @@ class Analysis(Settings):
     """
 
     subject: ClassVar[str] = "sweep"
-    """What is analysed, by which its command reads it: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
+    """Kind of input of the command: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
 
     kind: ClassVar[str] = ""
     """Attribute `kind` of the analysis's datasets, and name of its command."""
 
     command: ClassVar[str] = ""
-    """Name of the command, if it is not the kind."""
+    """Name of the command, if it differs from the kind."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """Variables that the analysis adds to those of sweeps, by name: units, meaning, type and flags of each."""
+    """Variables by name that the analysis adds to those of sweeps: units, meaning, type and flags of each."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
-    """Picture rules for the analysis's datasets; the first rule that fits is used."""
+    """Rules that choose the picture of a dataset of the analysis; the first that fits applies."""
 
     counted: ClassVar[str] = ""
     """Dimension of the analysis's datasets whose size the command prints."""
@@ -219,8 +219,8 @@ def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> 
     **Arguments:**
 
     - `source`: input of the analysis: a dataset, or a sweep as `run_sweep` accepts it.
-    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. From then on, `picture` and the
-      other functions support its datasets in this process.
+    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. Afterwards, `picture` and the other
+      functions support its datasets in this process.
 
     **Returns:** the dataset, with the attribute `kind`.
 

@@ -225,7 +225,7 @@ _INTERRUPTED = Event()
 class OrbitFunction:
     """Function of an array of parameters that gives features of a periodic orbit, made by [vibrojax.as_jax][].
 
-    `f(x)` returns the dict that [vibrojax.as_jax][] describes, and `f.reason(x)` why f is not valid at x.
+    `f(x)` returns the dict that [vibrojax.as_jax][] describes, and `f.reason(x)` the reason why f is not valid at x.
     """
 
     def __init__(self, branch: Branch, of: Sequence[str], outside: str) -> None:
@@ -254,9 +254,9 @@ class OrbitFunction:
     def reason(self, x: Any) -> str:
         """Return why the function is not valid at `x` (parameters,), or "none" where it is valid.
 
-        The first word is "undefined" (not a number, or the orbit lacks a feature or a derivative), "refused" (by
-        `simulate`, too), "no-orbit" (there is no first orbit), "beyond-branch" (the orbit ends on the way from the
-        first one) or "unstable".
+        The first word is "undefined" (`x` is not a number, or the orbit lacks a feature or a derivative), "refused"
+        (`simulate` rejects `x`, too), "no-orbit" (there is no first orbit), "beyond-branch" (the orbit ends on the way
+        from the first one) or "unstable".
         """
         check_untraced(Place("as_jax", "reason").error, x)
         return self._branch.reason(np.array(self._checked(np.asarray(x)), float))
@@ -294,17 +294,17 @@ def as_jax(
         f(jnp.array([0.4, 0.75]))  # {"impact_energy": ..., "margin": ..., "grazing_margin": ..., "valid": ...}
         jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
 
-    At its first use, the function finds the first orbit: the one on which the motion from `start` settles at the point
-    `at`. Further calls continue this orbit on the straight line to their point, so a result does not depend on other
-    calls. Without `at`, the first point that is evaluated takes its place. The gradients are those of
+    At its first use, the function finds the first orbit, on which the motion from `start` settles if the parameters
+    have the values `at`. Further calls continue this orbit on the straight line to their point, so a result does not
+    depend on other calls. Without `at`, the first point that is evaluated takes its place. The gradients are those of
     [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work, and so do `jax.jacfwd` and `jax.jacrev` of the
     features, without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`.
     Second derivatives are not available.
 
     The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
-    stable, and `simulate` admits the parameters. Elsewhere the result belongs to the last orbit on the straight line
-    from the first one, up to 1e-7 of the line. An orbit that has become unstable is continued, with a positive
-    `margin`, so that stability can be a smooth constraint. `f.reason(x)` returns the reason as text.
+    stable, and `simulate` admits the parameters. Elsewhere the result is that of the last such orbit on this line,
+    located to 1e-7 of its length. An orbit that has become unstable is continued, with a positive `margin`, so that
+    stability can be a smooth constraint. `f.reason(x)` returns the reason as text.
 
     Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument, at
     least float32.

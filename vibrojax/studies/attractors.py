@@ -26,9 +26,24 @@ from vibrojax.periodic.orbits import SAME_ORBIT
 from vibrojax.pictures.axes import axis, edges, map_axis, margins, scale, share_text, values_along, with_unit
 from vibrojax.pictures.colours import cell_keys, no_value_key, regime_names, regime_value, share_value, value_of
 from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
+from vibrojax.pictures.layout import MOST_PANELS, at, facets
 from vibrojax.pictures.maps import cell_layers, maps_of
-from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Look, Plot, Sheet, Text, bars, dots, patch
-from vibrojax.pictures.sheet import MOST_PANELS, at, facets
+from vibrojax.pictures.plots import (
+    Area,
+    Axis,
+    Bars,
+    Cells,
+    Key,
+    Layer,
+    Line,
+    Look,
+    Plot,
+    Sheet,
+    Text,
+    bars,
+    dots,
+    patch,
+)
 from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
@@ -75,16 +90,17 @@ _MOST_FACETS, _MOST_COLUMNS, _PANEL = 6, 3, (4.2, 2.0)  # _PANEL: width and heig
 def attractors(
     source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
 ) -> xr.Dataset:
-    """Find the attractors that a sweep's initial conditions lead to, and the fraction of each, over the grid.
+    """Find the attractors to which a sweep's initial conditions lead, and the fraction that leads to each.
 
         att = vj.attractors(ds)
 
-    Lanes of a grid point have the same motion if their orbits are equal, or, for irregular lanes, their statistics over
-    a longer observation. The dataset's attribute `attractors` states the resolution.
+    Two lanes of a grid point have the same motion if their orbits are equal, or, for irregular lanes, if their
+    statistics over a longer observation agree. The dataset's attribute `attractors` states the resolution of this
+    comparison.
 
     Motions of neighbouring points are the same attractor if the orbit of one, continued to the other's parameters,
-    becomes the orbit of the other. Numbers do not depend on the order of values on an axis; 0 is the attractor with the
-    greatest fraction over the grid.
+    becomes the orbit of the other. The numbers of the attractors do not depend on the order of values on an axis;
+    number 0 has the greatest fraction over the grid.
 
     **Arguments:**
 
@@ -97,17 +113,17 @@ def attractors(
       standard error `share_stderr`, an upper bound for Sobol samples. `regime` is the most frequent regime of the
       attractor's lanes, `cycles` the period of its orbit in returns (0 without an orbit). Where the attractor does not
       exist, `share` is 0, and so are `regime` and `cycles`, as all undefined integers. `period`, `impacts` and
-      `impact_velocity` are medians over the lanes, from the longer observation if they are irregular. So are
-      `impact_power`, `stick_slip_index` and `specific_energy`, but from the sweep's observation; `blow_frequency`
-      follows from `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the section.
+      `impact_velocity` are medians over the lanes, from the longer observation if they are irregular. `impact_power`,
+      `stick_slip_index` and `specific_energy` are medians from the sweep's observation; `blow_frequency` follows from
+      `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the section.
     - Over the grid, `unassigned`: number of initial conditions without an attractor. Their lanes failed, were
       undecided, had not settled, did not converge, or their orbit was not found.
     - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
     - Over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor` and
-      `named_regime`, to which the scene's named initial conditions `drive` and `stuck` lead. They do not count in
-      `share`.
+      `named_regime`, the attractor and the regime to which the scene's initial conditions `drive` and `stuck` lead.
+      These do not count in `share`.
 
-    **Raises:** `InputError` unless `source` is a sweep over a grid and `start`, of a scene with a section.
+    **Raises:** `InputError` unless `source` is a sweep over a grid and `start`, and its scene has a section.
 
     **Example:**
 
@@ -177,7 +193,7 @@ def attractor_shares(ds: xr.Dataset) -> Sheet:
     count, points = ds.sizes[ATTRACTOR], ds["unassigned"].size
     share, regime = (ds[name].transpose(..., ATTRACTOR).values.reshape(points, count) for name in ("share", REGIME))
     names = regime_names(ds[REGIME])
-    keys: list[Layer] = []
+    keys: list[Key] = []
     for k in range(min(count, len(COLOURS))):
         most = int(np.argmax(np.bincount(regime[:, k], weights=share[:, k])))
         text = f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))} of starts"
@@ -308,7 +324,7 @@ def share_map(ds: xr.Dataset) -> Sheet:
 
 @dataclass(frozen=True)
 class Attractors(SweepAnalysis):
-    """Find the attractors that a sweep's starts lead to, and the share of starts of each."""
+    """Find the attractors to which a sweep's starts lead, and the share of the starts for each."""
 
     kind = "attractors"
     counted = "attractor"

@@ -51,7 +51,7 @@ def borders(
     at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there.
+    """Find the borders of the stable single impact in a sweep's plane: curves, and what happens at each.
 
         cur = vj.borders(ds)
 
@@ -71,10 +71,10 @@ def borders(
     - Along `vertex`, ordered along each curve: the two parameters, and `curve`, the number of the vertex's curve.
     - Along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and the values
       of the sweep's other axes. The kinds are fold, period-doubling, torus, grazing, stick, section, hopf, end, basin
-      and not-settled. At a *basin* border the orbit continues, but the initial condition no longer leads to it. A
-      *not-settled* border is like a *basin* border, but the motion beyond it had not settled. `continued` is 1 for a
-      part of a continued curve, which begins at `seed_NAME` of both parameters, else 0. `curve_note` says why the curve
-      ends, or why there is none. The attribute `begun_from` names the grid.
+      and not-settled. Beyond a *basin* border the orbit exists, but the initial condition no longer leads to it; beyond
+      a *not-settled* border, the motion had not settled. `continued` is 1 if the curve was computed by continuation,
+      which begins at `seed_NAME` of both parameters, else 0. `curve_note` says why the curve ends, or why it was not
+      continued. The attribute `begun_from` describes the grid from which the borders were found.
     - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
     - Along `region`: `region_area`, the fraction of the plane with a stable single impact, with the coordinates
       `region_start` and so on; along `region` and `cell`, the points of the grid at `cell_NAME` of both parameters:
@@ -325,7 +325,7 @@ def _stable_cells(ds: xr.Dataset, region: int, x: str, y: str) -> tuple[Cells, d
 
 @dataclass(frozen=True)
 class Borders(SweepAnalysis):
-    """Draw the borders of the stable single impact in a sweep's plane: curves named by what happens there."""
+    """Find the borders of the stable single impact in a sweep's plane: curves, and what happens at each."""
 
     axes: tuple[str, str] | None = field(
         default=None,

@@ -158,7 +158,7 @@ class Calibrations(FileAnalysis[Calibration]):
         "history (a CSV of the bit's velocity over time), [unknown] NAME = [low, high] and, as needed, start, "
         "[parameters], [error], [prior]"
     )
-    columns = 'of the history: which column is what, in which unit, like time="t (ms)" v1="bit speed (mm/s)"'
+    columns = 'columns of the history and their units, such as time="t (ms)" v1="bit speed (mm/s)"'
 
     def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Calibration:
         return read_calibration(file, columns)
@@ -270,7 +270,7 @@ class Calibrations(FileAnalysis[Calibration]):
         elif freedom > 0:
             rms = float(np.sqrt(ds["chi_squared"] / freedom))
             doubt = ": the model, the motion or the errors are wrong" if rms > LARGE_RESIDUAL else ""
-            lines.append(f"the residuals are {rms:.2g} standard errors{doubt}")
+            lines.append(f"the residuals are {rms:.3g} standard errors{doubt}")
         nonlinearity = float(ds["nonlinearity"])
         if nonlinearity > WELL_DETERMINED:
             lines.append(
@@ -297,28 +297,28 @@ class Calibrations(FileAnalysis[Calibration]):
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %"
+    return f"{100 * share:.3g} %"
 
 
 def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
-    """Estimate parameters of a drill from observations of its motion, by gradients through all events.
+    """Estimate parameters of a drill from observations of its motion, with gradients that pass through all events.
 
         runs = {"v": [1.2, 1.5, 1.8], "period": [...], "impact_velocity": [...]}
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
-    Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed values
-    of variables of the orbit (period, forces, velocities, powers, rates). Motions from `start` are simulated at a
-    sample of points inside the bounds. From the best points, the orbit is continued to all rows, and SciPy's
-    `least_squares` minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end
-    of a search are left out; the likelihood selects among the ends of searches.
+    Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed
+    variables of the orbit (period, forces, velocities, powers, rates). Motions from `start` are simulated at a sample
+    of points inside the bounds. From the best points, the orbit is continued to all rows, and SciPy's `least_squares`
+    minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end of a search are
+    left out; the search that ends with the greatest likelihood is kept.
 
-    A recorded velocity of the bit over time, beside the rows or in place of them, is compared with the motion itself.
-    The state at its first sample is fitted too, unless it is given.
+    A recording of the bit's velocity over time, in addition to the rows or instead of them, is compared with the
+    simulated motion. The state at its first sample is fitted too, unless it is given.
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
-    The eigenvectors of the Fisher information J'J, in logarithms of positive parameters, are combinations of powers of
-    the parameters, each with its relative error. The posterior is the normal approximation in these logarithms, or
+    Each eigenvector of the Fisher information J'J, in logarithms of positive parameters, is a product of powers of the
+    parameters; the result gives its relative error. The posterior is the normal approximation in these logarithms, or
     Student's t if the residuals give the error of the observations.
 
     **Arguments:** `source`: path of a TOML file, or a dict, with
@@ -328,21 +328,22 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
       `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In `drilling`, `C` [m/s] may be unknown too:
       then `rate_of_penetration` is C ln(relief).
     - `history`: dataset of `simulate`, table, or path of a CSV or NetCDF file. Its columns are `time` [s] and `v1`
-      [m/s], the velocity of the bit relative to the drive; headers may have other units, as in `v1 (mm/s)`. `x1`, `x2`,
-      `v2` begin the search for the first state. A table `[history]` has this as `data`, and optionally `columns` (NAME
-      = COLUMN), `window` (begin and end [s]), `start` (the state at the first sample) and the operating conditions that
-      are columns of the rows. `[error]` v1 is the standard error [m/s] of a sample.
+      [m/s], the velocity of the bit relative to the drive; headers may have other units, as in `v1 (mm/s)`. Columns
+      `x1`, `x2`, `v2` are initial guesses of the first state. A table `[history]` instead holds the recording as
+      `data`, and optionally `columns` (NAME = COLUMN), `window` (begin and end [s]), `start` (the state at the first
+      sample) and the operating conditions that are columns of the rows. `[error]` v1 is the standard error [m/s] of a
+      sample.
     - `[unknown]` NAME = [low, high]; `[prior]` NAME = [mean, standard deviation]; `[error]` NAME = standard error of a
-      variable. Without errors, all values have the same relative error, which the residuals give; a value below a
-      hundredth of its variable's mean size has the error of that hundredth.
-    - `searches` (3), `draws` (1000), `seed` (0), `title`.
+      variable. Without given errors, all values have the same relative error, estimated from the residuals; a value
+      below a hundredth of its variable's mean size has the error of a value of that size.
+    - `searches` (default 3), `draws` from the posterior (1000), `seed` (0), `title`.
 
     **Returns:** a dataset with `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to `estimate_high`,
     and `reason` along `parameter`; `correlation`, `direction` and `direction_error` along `combination`, `posterior`
     along `draw`; `observed`, `predicted`, `residual` and `used` (1 or 0) along `observation`, with `time` for samples
     of a history; `first_state` along `state`, if it is fitted; attribute `error_model`.
 
-    **Raises:** `InputError` for invalid input, too few observations with an orbit, or if no search reaches a minimum.
+    **Raises:** `InputError` if the input is invalid, too few observations have an orbit, or no search converges.
 
     **Example:**
 

@@ -42,7 +42,7 @@ def scene_rows() -> dict[str, dict[str, str]]:
 
 
 def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of a scene's parameters by name, including alternatives and those of every friction law.
+    """Return a table of a scene's parameters by name, including those of friction laws and alternatives such as `rpm`.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
     is the range in the source and on drilling rigs; values far from it cause a warning. `where` is the friction law or
@@ -62,10 +62,10 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     for choice, parameters in choices.items():
         groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
     for name, parameter in substitutes(names.parameters).items():
-        where = f"{'both ' * (name in ROTATION)}in place of {REPLACED[name]}"
+        where = f"{'rpm with bit_radius ' * (name in ROTATION)}in place of {REPLACED[name]}"
         if name == "bit_radius" and isinstance(names.system, HasRock):
             parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
-            where = "of specific_energy; with rpm in place of v"
+            where = "for specific_energy; with rpm in place of v"
         groups.append((where, [parameter]))
     rows = [
         {
@@ -87,7 +87,7 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
 def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
     """Return a table of the variables in a scene's datasets by name: `units`, `meaning`, and `where`.
 
-    `where` is the command that adds the variable; it is empty for variables of sweeps, including those of orbits.
+    `where` is the command that adds the variable; it is empty for the variables of a sweep and of its orbits.
 
     **Raises:** `InputError` if there is no such scene.
 

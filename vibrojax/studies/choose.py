@@ -17,7 +17,7 @@ from vibrojax.pictures import contents
 from vibrojax.pictures.colours import regime_value, value_of
 from vibrojax.pictures.contents import FORM, MULTIPLIER, POINT, REGIME, RETURN, TIME, Contents
 from vibrojax.pictures.draw import OwnFigure, draw
-from vibrojax.pictures.fitting import WIDTH, read_width
+from vibrojax.pictures.layout import WIDTH, read_width
 from vibrojax.pictures.lines import curves, regime_lines
 from vibrojax.pictures.maps import map_sheet
 from vibrojax.pictures.motion import histories
@@ -48,19 +48,19 @@ def picture(
     **Arguments:**
 
     - `ds`: a dataset of `simulate`, a sweep, or an analysis.
-    - `variable`: name of a variable to draw instead, over all varied axes; or a list of up to four names, for a run up
-      to eight. A variable at the returns, such as "return_x", gives the bifurcation diagram of that state.
+    - `variable`: name of a variable to draw instead, over all varied axes; or a list of up to four names (eight for a
+      result of `simulate`). A variable at the returns, such as "return_x", gives the bifurcation diagram of that state.
     - `where`: values by name of axis or coordinate, in the dataset's units; only lanes with these values are drawn.
       Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must be accurate to four digits. At most 300,000 lanes are
       drawn.
     - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
       conditions keep their colours.
     - `over`: datasets to draw on top. Families of orbits, from `follow`, are drawn over the section crossings of a
-      sweep along the same parameter, or over lanes carried along it. Borders, from `borders`, are drawn over the map of
+      sweep along the same parameter, with or without `carry`. Borders, from `borders`, are drawn over the map of
       regimes.
     - `diagram`: name of a diagram to draw instead. "campbell" draws the frequencies of a sweep's motions, the natural
-      frequencies and the multiples of the rotation over the speed; "rate-over-force" the rate of penetration over the
-      mean force; "chart" the robust single impact over two parameters.
+      frequencies and the multiples of the rotation frequency over the speed; "rate-over-force" the rate of penetration
+      over the mean force; "chart" the region of the robust single impact over two parameters.
     - `width`: width of the picture, such as "85mm" or "170mm" for a column or a page of a journal, or a number of
       millimetres.
 
@@ -126,7 +126,7 @@ def save_picture(
 
     **Returns:** a description of the values that are drawn, or "" if all are drawn.
 
-    **Raises:** `InputError` for another file extension, a path that cannot be written, or for the reasons of `picture`.
+    **Raises:** `InputError` for another file extension, a path that cannot be written, or where `picture` raises it.
 
     **Example:**
 

@@ -61,15 +61,15 @@ def curves(
     at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """Continue the special points of families of orbits in a second parameter, as curves in the plane of both.
+    """Continue the special points of families of orbits in a second parameter, as curves in the plane of the two.
 
     Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
-    bound. The family's parameter keeps its bounds. Points of codimension two are located and named. The other curves
-    that begin there are followed, up to a limit that notes mention.
+    bound. The bounds of the family's parameter are those of `follow`. Points of codimension two are located and named.
+    Other curves that begin at these points are followed, too, up to a maximum number that `curve_note` mentions.
 
     **Arguments:**
 
-    - `family`: result of `follow`; one of equilibria (`cycles=0`) has no curves.
+    - `family`: result of `follow`, but not a family of equilibria (`cycles=0`).
     - `by`: second parameter; `span`: its lower and upper bound, which enclose its value in the family.
     - `special`: index of one special point of the family, or several; by default all that can be continued.
     - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which curves pass this value are
@@ -80,7 +80,7 @@ def curves(
     - Along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time between
       section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
     - Along `curve`: `kind`, `special` (the index in the family, -1 if the curve begins at a point of codimension two),
-      and `curve_note` on that point, on the ends of the curve, and on other special points that it passes.
+      and `curve_note`, remarks on that point, on the ends of the curve, and on other special points on it.
     - Along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
       parameters.
     - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.

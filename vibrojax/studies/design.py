@@ -39,12 +39,14 @@ _YES_NO = ("no", "yes")
 
 DESIGN_VARIABLES = {
     "share": Variable("1", "share of the starts from which all requirements hold at the nominal point"),
-    "share_worst": Variable("1", "least such share at the samples of the tolerances"),
-    "feasible": Variable("1", "whether all requirements hold at the samples of the tolerances", np.int8, _YES_NO),
-    "irregular_share": Variable("1", "share of the lanes of the samples that are irregular, undecided or failed"),
-    "gradient": Variable("", "derivative of the objective at the nominal orbit, in its unit per the parameter's"),
+    "share_worst": Variable(
+        "1", "least share of the starts from which all requirements hold at a sample of the tolerances"
+    ),
+    "feasible": Variable("1", "whether all requirements hold at all samples of the tolerances", np.int8, _YES_NO),
+    "irregular_share": Variable("1", "share of the samples' lanes that are irregular, undecided or failed"),
+    "gradient": Variable("", "derivative of the objective at the nominal orbit, per unit of the parameter"),
     "map_feasible": Variable("1", "whether all requirements hold at the nominal point", np.int8, _YES_NO),
-    "front_feasible": Variable("1", "whether a feasible point was found", np.int8, _YES_NO),
+    "front_feasible": Variable("1", "whether a feasible point was found for this limit", np.int8, _YES_NO),
 }
 """Variables whose units do not depend on the design, unlike objective, subject, map and front."""
 
@@ -207,7 +209,7 @@ class Designs(FileAnalysis[DesignSpec]):
                 data[key] = of(name, words).entry("candidate", [extreme(a.held(name, rows), end) for a in results])
         if spec.regime is not None:
             required = REGIMES.index(spec.regime)
-            words = "first other regime at the samples of the tolerances, else that asked for"
+            words = "first regime other than the required one at the samples of the tolerances, else the required one"
             first_other = Variable("1", words, np.int8, REGIMES)
             for name, rows, variable in (
                 ("regime", slice(1), VARIABLES["regime"]),
@@ -268,7 +270,7 @@ class Designs(FileAnalysis[DesignSpec]):
         what = str(ds.attrs.get("maximise", "objective")).replace("_", " ")
         share = float(best["irregular_share"]) if "irregular_share" in best else 0.0
         lines = [
-            f"irregular motions within the tolerances ({100 * share:.2g} % of the lanes): worst values depend on the "
+            f"irregular motions within the tolerances ({100 * share:.3g} % of the lanes): worst values depend on the "
             "time of observation"
         ] * (share > 0)
         lines.append(f"{what} {_best_text(ds)} at {_place_text(best, names)}")
@@ -332,10 +334,10 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
         best = vj.design("design.toml")
         best.isel(candidate=0)
 
-    A coarse map gives the points from which SLSQP begins, with the derivatives of the periodic orbits. Simulations then
-    search around each optimum. Candidates are simulated again from every start, at all corners of the tolerance box and
-    at 256 draws. Worst values are those of these samples, not bounds of the box; if `irregular_share` is above 0, they
-    also depend on the time of observation.
+    SLSQP begins at the best points of a coarse map and uses the derivatives of the periodic orbits. Simulations then
+    search the neighbourhood of each optimum. Candidates are simulated again from every start, at all corners of the
+    tolerance box and at 256 random points in it. Worst values are the worst over these samples, not over the whole box;
+    if `irregular_share` is above 0, they also depend on the duration of the observation.
 
     **Arguments:**
 
@@ -345,15 +347,15 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     **Returns:** a dataset along `candidate`, best first:
 
-    - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst` of the samples
-      of the tolerances, by which a robust design is ranked; the variables of the subject, each at the nominal point
-      and as `NAME_worst`; `feasible`.
+    - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst`, the worst over
+      the samples of the tolerances, by which a robust design is ranked; the variables of the subject, each at the
+      nominal point and as `NAME_worst`; `feasible`.
     - `gradient` along `parameter`.
-    - with a front: along `front`, `front_objective`, the varied parameters, and what the front is drawn against.
+    - if `front` is given: along `front`, the limit that varies, `front_objective` and the varied parameters.
     - along `map`: the coarse map.
 
-    **Raises:** `InputError` for an invalid design, if there is no feasible point, or if the objective is 0 at all of
-    them.
+    **Raises:** `InputError` for an invalid design, if there is no feasible point, or if the objective is 0 at all
+    feasible points.
 
     **Example:**
 

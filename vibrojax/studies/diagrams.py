@@ -10,7 +10,7 @@ from vibrojax.pictures.axes import scale, with_unit
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.contents import FORM, POINT, RATE, RELIEF, lane_dims, rates_in, without_single
 from vibrojax.pictures.lines import Across, Series, axis_of_lines, line_keys, longest_axis, row_per_facet
-from vibrojax.pictures.plots import FAINT, Area, Axis, Layer, Line, Look, Picture, Plot, Sheet, Text, dots, key
+from vibrojax.pictures.plots import FAINT, Area, Axis, Key, Layer, Line, Look, Picture, Plot, Sheet, Text, dots, key
 from vibrojax.studies.frequencies import frequencies
 
 _MODES = {"lower_frequency": "-", "upper_frequency": "-", "bit_frequency": ":", "striker_frequency": ":"}
@@ -72,7 +72,7 @@ def campbell(ds: xr.Dataset) -> Sheet:
                 free = end - _RAY_LABEL * (high - low) if end < 0.98 * high else free
         return Plot(layers, across, Axis("frequency [Hz]", limits=(0.0, top), group="frequency"))
 
-    keys: list[Layer] = [key(name, colour=FAINT, dash=dash) for dash, name in _MODE_NAMES.items()]
+    keys: list[Key] = [key(name, colour=FAINT, dash=dash) for dash, name in _MODE_NAMES.items()]
     keys += [dots(label=_MOTION_NAMES[name], **_marks(marker)) for name, marker in _MOTIONS.items() if name in ds]
     lines = line_keys(ds, by, dash="", **_marks("o"))
     note = "Rays: multiples of the rotation n" if turns else ""
@@ -102,7 +102,7 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
     lowest = -0.03 * factor * max(float(ds[RATE].max()), np.finfo(float).tiny)
     across = Axis(with_unit("mean force P", force_unit), _FORCE, (0.0, None), group="force")
     up = Axis(with_unit("rate of penetration", unit), RATE, (lowest, None), group="rate")
-    onsets: list[Layer] = []
+    onsets: list[Key] = []
     few = ds.sizes.get(by, 1) <= _MOST_ONSETS
 
     def draw(lines: list[Series]) -> Plot:

@@ -160,14 +160,16 @@ STUDY_VARIABLES = {
         "", "mean at the high level minus mean at the low level, in the variable's own unit", dims=_PARAMETER
     ),
     "interaction": Variable(
-        "", "half the difference of an effect between the levels of the other, in the variable's own unit", dims=_PAIR
+        "", "half the difference between one parameter's effects at the high and low level of the other", dims=_PAIR
     ),
     "mean": Variable("", "mean over the box, in the variable's own unit", dims=_OF),
     "std": Variable("", "standard deviation over the box, in the variable's own unit", dims=_OF),
-    "left_out": Variable("1", "base samples that are left out", np.int32, dims=_OF),
-    "corners_left_out": Variable("1", "corners of the two-level design that are left out", np.int32, dims=_OF),
-    "set_to_zero": Variable("1", "lanes without impacts whose value is set to 0", np.int32, dims=_OF),
-    "averaged": Variable("1", "irregular lanes, which count with their means", np.int32, dims=_OF),
+    "left_out": Variable("1", "number of base samples that are left out", np.int32, dims=_OF),
+    "corners_left_out": Variable(
+        "1", "number of corners of the two-level design that are left out", np.int32, dims=_OF
+    ),
+    "set_to_zero": Variable("1", "number of lanes without impacts, whose value is set to 0", np.int32, dims=_OF),
+    "averaged": Variable("1", "number of irregular lanes, whose means over time are used", np.int32, dims=_OF),
     "sobol_reason": Variable("1", "why there are no Sobol indices", np.int8, REASONS, dims=_OF),
     SHARE: Variable("1", "share of the Sobol sample's lanes with a single impact"),
     "regime_share": Variable("1", "share of the Sobol sample's lanes in the regime", dims=("label",)),
@@ -226,7 +228,7 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
 
 
 def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
-    """Find which parameters, and which pairs of them, decide about a machine's performance within a box of values.
+    """Find which parameters, and which pairs of them, determine a machine's performance within a box of values.
 
         ds = vj.study("drill")
         ds.total_order.sel(of="impact_energy").to_pandas()
@@ -239,17 +241,19 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
     - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. It has a `scene`;
       `of`, a list of variables of the scene's sweeps, or "share_single_impact"; and [vary] with NAME = [low, high] for
       up to twelve parameters. Optional are [parameters], `starts` and [run] as in a sweep, `samples` (base samples, a
-      power of two: 256) and `seed` (0). D parameters take (2 D + 2) lanes per base sample and start.
+      power of two; default 256) and `seed` (default 0). D parameters need (2 D + 2) lanes per base sample and start.
 
     **Returns:** a dataset over `of`, `parameter` and `other` (the parameters again).
 
     - `first_order`, `total_order`: shares of the variance due to a parameter alone, and with all its interactions, with
-      95 % confidence intervals `first_order_conf` and `total_order_conf`. `second_order`: share of a pair.
-    - `effect`: mean of the variable at the high level of a parameter minus that at the low level. `interaction`: half
-      the difference of this effect between the high and the low level of the other parameter.
-    - `mean`, `std`: of the variable over the box. `share_single_impact`, `regime_share`: shares of regimes.
-    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners that are
-      treated by rule, which the attribute `rules` states. `sobol_reason`: why there are no Sobol indices.
+      95 % confidence intervals `first_order_conf` and `total_order_conf`. `second_order`: share due to the interaction
+      of a pair.
+    - `effect`: mean of the variable at the high level of a parameter minus its mean at the low level. `interaction`:
+      half the difference of this effect between the high and the low level of the other parameter.
+    - `mean`, `std`: mean and standard deviation of the variable over the box. `share_single_impact`, `regime_share`:
+      shares of lanes with a single impact and in each regime.
+    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners to which the
+      rules in the attribute `rules` apply. `sobol_reason`: why there are no Sobol indices.
 
     **Raises:** `InputError` if the study is invalid, or SALib is not installed.
 
@@ -266,14 +270,14 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
 
 
 class Studies(FileAnalysis[Study]):
-    """Find which parameters decide about a machine: effects, interactions and Sobol indices; FILE is a study (TOML)."""
+    """Find which parameters determine a machine's performance: effects, interactions and Sobol indices."""
 
     kind = "study"
     variables = STUDY_VARIABLES
     pictures = (PictureRule("effects", lambda held: "first_order" in held.variables, bars_and_interactions),)
     view = "plots"
 
-    about = "a study: a bundled name, like drill, or the path of a TOML file"
+    about = "a study: a bundled name such as drill, or the path of a TOML file"
     chunks = True
 
     def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Study:

@@ -162,11 +162,11 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
         names = tuple(states[:2]) if standing else (*known[:1], *states[:1])
     last = LEADING if standing else LARGEST
     names = (*names, last)
-    every, many = list(branches(ds)), FAMILY in ds.dims
+    every = list(branches(ds))
     along = ds[along_name(ds)]
     plots = []
     for row, name in enumerate(names):
-        layers, up = family_layers(ds, every, name, thin=many), Axis(_label(ds, name), name)
+        layers, up = family_layers(ds, every, name), Axis(_label(ds, name), name)
         if row == len(names) - 1:  # the last panel has the stability limit
             layers = [level(0.0 if standing else 1.0, width=0.8, order=1.0), *layers]
         if name == LARGEST:
@@ -246,11 +246,17 @@ class Families(MachineAnalysis[FamilySpec]):
     terms = FAMILY_WORDS
     pictures = (PictureRule("families", lambda held: True, families),)
 
-    along: object = setting(None, f"{_SYNTAX}: the parameter, where the family begins, and its bounds", read=given)
+    along: object = setting(None, f"{_SYNTAX}: the parameter, its value at the first orbit, and its bounds", read=given)
     at: object = setting(None, "", read=given)
-    from_hopf: object = setting(None, "from-hopf=FILE.nc: equilibria, at whose hopf points orbits begin", read=given)
+    from_hopf: object = setting(
+        None, "from-hopf=FILE.nc: a family of equilibria; orbits begin at its hopf points", read=given
+    )
     span: object = setting(None, "", read=given)
-    cycles: object = setting(MOST_CYCLES, "the most returns of doubled branches; 0: follow equilibria", read=given)
+    cycles: object = setting(
+        MOST_CYCLES,
+        "most returns per period on branches that begin at period doublings; 0: follow equilibria",
+        read=given,
+    )
 
     def view_of(self, ds: xr.Dataset) -> str:
         return "plots" if LEADING in ds else self.view

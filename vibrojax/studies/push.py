@@ -27,7 +27,7 @@ from vibrojax.physics.parameters import positive
 from vibrojax.pictures.axes import axis, margins, number, scale, values_along, with_unit
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_names
 from vibrojax.pictures.contents import POINT, varied
-from vibrojax.pictures.plots import Axis, Bars, Layer, Line, Look, Plot, Sheet, Text, dots, key, level, patch
+from vibrojax.pictures.plots import Axis, Bars, Key, Layer, Line, Look, Plot, Sheet, Text, dots, key, level, patch
 from vibrojax.pictures.starts import SYMBOLS
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
@@ -60,7 +60,7 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
     known = [ds[f"bound_{state}"] > 0 for state in states]
     returning = any(bool((ds[f"{_PUSH}{s}"].isnull() & k).any()) for s, k in zip(states, known, strict=True))
     leaving = any(bool(ds[f"{_PUSH}{state}"].notnull().any()) for state in states)
-    keys: list[Layer] = [key(side, colour=c, marker=m, width=1.0) for c, m, side in _SIDES.values() if several]
+    keys: list[Key] = [key(side, colour=c, marker=m, width=1.0) for c, m, side in _SIDES.values() if several]
     if not several:
         names = regime_names(ds["regime"])
         ends = {int(flag) for state in states for flag in regime_cells(ds[f"regime_{state}"]) if flag > 0}
@@ -108,7 +108,7 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
         text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
         up = height if leaves else height / 2
         layers.append(Bars([side - 0.3], [0.0], [0.6], [height], fill, **look))
-        layers.append(Text(float(side), up, text, baseline="bottom", box=True, offset=(0.0, 3.0 * leaves)))
+        layers.append(Text(float(side), up, text, baseline="bottom", halo=1.5, offset=(0.0, 3.0 * leaves)))
     ticks = [(float(k), _SIDES[int(sign)][2]) for k, sign in enumerate(ds["sign"].values)]
     top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
     label = with_unit(f"push in {SYMBOLS.get(state, state)}", unit)
@@ -161,21 +161,21 @@ def smallest_push(
         push.push_v2.sel(sign=1)  # m/s that are added to the striker's velocity
 
     The working cycle is the periodic orbit on which the motion settles. A push is a sudden change of one state
-    variable, in either direction, when the cycle crosses its section (the bit overtakes the drive). The motion then
-    settles for the time `settle`, six times as long if it is irregular, and is observed for the time `observe`. A push
-    after which the motion does not return to the cycle is called leaving.
+    variable, in either direction, when the cycle crosses the section (the bit overtakes the drive). The motion then
+    settles for `settle`, six times as long if it is irregular, and is observed for `observe`. A push after which the
+    motion does not return to the cycle is called a *leaving* push.
 
-    A first scan tries pushes up to a bound. Further scans below the smallest leaving push follow, until they find no
-    smaller one. The bracket of this push is then narrowed. A hole of the basin that is narrower than the spacing of the
-    scans is missed.
+    A first scan tries pushes up to a bound. Further scans try pushes below the smallest leaving push found so far,
+    until none of these is leaving. The interval between the smallest leaving push and the next smaller push is then
+    narrowed. A hole in the basin of the cycle that is narrower than the spacing of the scans is missed.
 
     **Arguments:**
 
-    - `scene`: name of a scene, or a scene, with a drill; `parameters`: any of its parameters (SI), as in `simulate`.
-      Sequences of equal length define several working cycles along the dimension `point`, pushed in one batch.
+    - `scene`: a scene with a drill, or its name; `parameters`: any of its parameters (SI), as in `simulate`. Sequences
+      of equal length define several working cycles along the dimension `point`, pushed in one batch.
     - `start`: initial condition of the motion that settles on the cycle, by default the scene's first.
-    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). By default it is the
-      peak-to-peak range of a position over the cycle, and for a velocity that of its position times 2 pi/period.
+    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). The default is, for a position,
+      its peak-to-peak range over the cycle and, for a velocity, the range of its position times 2 pi/period.
     - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation; by default as in a sweep of the scene.
 
@@ -214,10 +214,10 @@ class Pushes(MachineAnalysis[Machines]):
     file, numbered = "SCENE-push.nc, SCENE-push-2.nc, ...", True
     scenes = "rotary, vibro-impact or drilling"
 
-    scan: int = setting(SCAN, "pushes of each scan in a direction", least=2, most=10_000)
+    scan: int = setting(SCAN, "number of pushes per scan and direction", least=2, most=10_000)
     precision: float = setting(PRECISION, "relative width of the final bracket", above=0.0)
     most: Mapping[str, Any] = setting(
-        dict, "greatest push, m or m/s, as most_x1, most_v1, most_x2, most_v2", read=as_table
+        dict, "bounds of the pushes, m or m/s: most_x1, most_v1, most_x2, most_v2", read=as_table
     )
 
     @classmethod
@@ -316,10 +316,11 @@ class Pushes(MachineAnalysis[Machines]):
             push = f"push in the {state.long_name}, at the section"
             ends_in = f"regime in which the motion ends after the smallest {push}"
             for part, x, about in (
-                (_PUSH, high[:, pair], Variable(state.unit, f"smallest {push}, that leaves the working cycle")),
+                (_PUSH, high[:, pair],
+                 Variable(state.unit, f"smallest {push}, after which the motion leaves the working cycle")),
                 ("bracket_", (high - low)[:, pair],
-                 Variable(state.unit, f"distance to the next smaller {push}, that returns")),
-                ("bound_", bound[:, k], Variable(state.unit, f"greatest {push}, that was tried")),
+                 Variable(state.unit, f"distance to the next smaller {push}, after which the motion returns")),
+                ("bound_", bound[:, k], Variable(state.unit, f"greatest tried {push}")),
                 ("regime_", regime[:, pair], replace(VARIABLES["regime"], long_name=ends_in)),
             ):  # fmt: skip
                 whole = np.full((cycle.sizes["point"], *x.shape[1:]), 0 if part == "regime_" else np.nan)
@@ -328,7 +329,7 @@ class Pushes(MachineAnalysis[Machines]):
         own = ["regime", "period", *map(orbit_name, system.driving_part().return_states)]
         variables |= {name: ("point", cycle[name].values, cycle[name].attrs) for name in own}
         coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
-        sign = ("sign", list(SIGNS), {"units": "1", "long_name": "side of the push: -1 less, 1 more"})
+        sign = ("sign", list(SIGNS), {"units": "1", "long_name": "sign of the push"})
         settings = {"method": METHOD, "scan": self.scan, "precision": self.precision, "patience": PATIENCE}
         dataset = self.dataset(
             variables,

@@ -36,7 +36,7 @@ _NEEDED = {
 }
 SCHEMA = {
     "specific_energy": Variable("J m-3", "mechanical specific energy W/A + omega T/(A R) (Teale 1965)"),
-    "percussive_specific_energy": Variable("J m-3", "power of the impacts over volume drilled per second"),
+    "percussive_specific_energy": Variable("J m-3", "impact power over the volume drilled per second"),
     "torque_stick_slip": Variable(
         "1", "stick-slip index (Tmax - Tmin)/(2 Tmean) of the surface torque over 30 s around the row"
     ),
@@ -83,22 +83,22 @@ def rig(
 
     With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate R [m/s] and the area A of a bit
     of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). In field units this is 4
-    WOB/(pi D²) + 480 TOR RPM/(D² ROP). The percussive one is the power of the impacts over A R, from the column or
-    value `impact_power`.
+    WOB/(pi D²) + 480 TOR RPM/(D² ROP). The percussive specific energy is `impact_power`, the power of the impacts, over
+    A R.
 
     The founder point is the weight above which the rate does not rise, if the data show one: see [vibrojax.fit_rop][].
 
     `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque. A `stick_slip_index` of the log is kept as
     given.
 
-    **Arguments:** `source`, `columns`, `where`, `nulls`: as for [vibrojax.read_log][]; `units`: of pictures and
+    **Arguments:** `source`, `columns`, `where`, `nulls`: as for [vibrojax.read_log][]; `units`: units of pictures and
     summaries, "driller" (m/h, rpm, kN, MPa) or "si". The dataset is in SI units.
 
     **Returns:** the log with `specific_energy`, `percussive_specific_energy` [J/m³] and `torque_stick_slip` along
-    `row`, where its columns allow them (else NaN; `notes` says why), `founder_weight` [N], `slope_below`, `slope_above`
-    and `founder_reason`.
+    `row`, where the log has the columns for them (else NaN; `notes` says why), `founder_weight` [N], `slope_below`,
+    `slope_above` and `founder_reason`.
 
-    **Raises:** `InputError`.
+    **Raises:** `InputError` if the log cannot be read.
 
     **Example:**
 

@@ -63,36 +63,38 @@ _FORM, _LANE = "form", "lane"
 SCHEMA = {
     "C": Variable("m s-1", "coefficient of the rate-of-penetration law", along=_FORM),
     "C_stderr": Variable("m s-1", "standard error of C", along=_FORM),
-    "eta0": Variable("1", "relief at the onset", along=_FORM),
+    "eta0": Variable("1", "relief at the onset of penetration", along=_FORM),
     "eta0_stderr": Variable("1", "standard error of eta0", along=_FORM),
     "exponent": Variable("1", "exponent of the relief", along=_FORM),
     "exponent_stderr": Variable("1", "standard error of the exponent", along=_FORM),
     "r_squared": Variable("1", "share of the rate's variance that the form explains", along=_FORM),
     "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2", along=_FORM),
-    "cv_error": Variable("m s-1", "error of rates predicted from the other blocks of rows of a log", along=_FORM),
-    "evidence_against": Variable(
-        *("1", "n ln(e/least e) of predicted rates, or by AIC; rejected above 5.4 (a special case: 8.8), of a sweep 2"),
-        along=_FORM,
+    "cv_error": Variable(
+        "m s-1", "cross-validation error: each block of a log's rows predicted from the others", along=_FORM
     ),
-    "degrees_of_freedom": Variable("1", "lanes with a residual less coefficients", np.int32, along=_FORM),
-    "used": Variable("1", "lanes that the fit used, those at zero rate among them", np.int32, along=_FORM),
+    "evidence_against": Variable(
+        "1", "AIC (of a log, 2 n ln(cv_error)) above the best form's; above 5.4 (sweep: 2) it is rejected", along=_FORM
+    ),
+    "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),
+    "used": Variable("1", "number of lanes that the fit used, including those at zero rate", np.int32, along=_FORM),
     "left_out": Variable(
-        *("1", "lanes left out: failed, irregular, wrong, or above the founder weight", np.int32), along=_FORM
+        *("1", "number of lanes left out: failed, irregular, outlying, or above the founder weight", np.int32),
+        along=_FORM,
     ),
     "reason": Variable("1", "why a coefficient is not a number", np.int8, REASONS, along=_FORM),
     "r_squared_reason": Variable("1", "why r_squared is not a number", np.int8, REASONS, along=_FORM),
     "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS, along=_FORM),
-    "onset_force": Variable("N", "the force at the onset, eta0 D", along=_FORM),
-    "onset_force_stderr": Variable("N", "standard error of the force at the onset, eta0 D", along=_FORM),
+    "onset_force": Variable("N", "mean force at the onset of penetration, eta0 D", along=_FORM),
+    "onset_force_stderr": Variable("N", "standard error of onset_force", along=_FORM),
     "founder_weight": Variable("N", "mean force above which the rate does not rise"),
     "founder_weight_stderr": Variable("N", "standard error of the founder weight"),
-    "founder_fall": Variable("m s-1 N-1", "fall of the rate per mean force above the founder weight"),
-    "founder_fall_stderr": Variable("m s-1 N-1", "standard error of the fall"),
+    "founder_fall": Variable("m s-1 N-1", "decrease of the rate per unit of mean force above the founder weight"),
+    "founder_fall_stderr": Variable("m s-1 N-1", "standard error of founder_fall"),
     "noise_correlation": Variable("1", "correlation of the noise of neighbouring rows"),
     "data_threshold": Variable("N", "mean force at a relief of 1"),
     "data_relief": Variable("1", "relief of the lanes that were fitted", along=_LANE),
     "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted", along=_LANE),
-    "data_use": Variable("1", "what became of a lane", np.int8, USES, along=_LANE),
+    "data_use": Variable("1", "how the fit treats the lane", np.int8, USES, along=_LANE),
 }
 """Variables of a fit over its groups, and `along` its forms or lanes. `onset_force` needs an unknown threshold."""
 
@@ -107,16 +109,17 @@ def fit_rop(
     where: Where = None,
     nulls: Nulls = None,
 ) -> xr.Dataset:
-    """Fit the rate-of-penetration law (source, eq. 6.4) in three readings, and three rivals, to each group of lanes.
+    """Fit six forms of the rate-of-penetration law to each group: three readings of eq. 6.4 and three rivals.
 
-    A lane at zero rate is censored: it contributes only if a form predicts a positive rate. Lanes that failed, are
-    irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for noise of constant
-    size and for noise proportional to the rate.
+    A form is a formula for the rate over the relief. A lane whose rate is zero is censored: it contributes only where a
+    form predicts a positive rate. Lanes that failed, are irregular or have no usable values are left out and counted.
+    Standard errors (HC3) are valid for noise of constant size and for noise proportional to the rate.
 
-    For rows of a rig log, the loss is robust, and the law may end at a founder weight; the forms are then fitted to the
-    rows below it. From 30 rows on, wrong rows are left out and listed (attribute `left_out_rows`). From 50 rows on, the
-    fit accounts for correlated noise of neighbouring rows: leaving out blocks of rows gives the standard errors, and
-    the forms are compared by their predictions of each block from all others (`cv_error`).
+    For rows of a rig log, the loss is robust. If the data show a founder weight, above which the rate does not rise,
+    the forms are fitted to the rows below it. From 30 rows on, outlying rows are left out and listed (attribute
+    `left_out_rows`). From 50 rows on, the fit accounts for correlated noise of neighbouring rows: leaving out blocks of
+    rows gives the standard errors, and the forms are compared by their predictions of each block from all others
+    (`cv_error`).
 
     **Arguments:**
 
@@ -132,16 +135,17 @@ def fit_rop(
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
       {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: eta is then
       the force over its median (attribute `reference_force` [N]), and `onset_force` [N] is the force at the onset.
-    - `where`, `nulls`: of a rig log, as in `read_log`.
+    - `where`, `nulls`: only for a rig log; as in `read_log`.
 
     **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
-    r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` and `reason`. A coefficient is
-    NaN if the form does not have it or the lanes do not identify it. Over the groups: `founder_weight` [N] with its
-    standard error, NaN if there is none, and `founder_fall` [m/s/N], the fall above it. The attribute `verdict` is the
-    form that the data of all groups support, or "none"; `left_out_rows` lists wrong rows of a log. Over the groups and
-    `lane`, the dataset holds the data: data_relief [1], data_rate_of_penetration [m/s], and `data_use`.
+    r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` (result of the comparison of
+    the forms) and `reason`. A coefficient is NaN if the form does not have it or the lanes do not identify it. Over the
+    groups: `founder_weight` [N] with its standard error, NaN if there is none, and `founder_fall` [m/s/N], the decrease
+    of the rate per force above it. The attribute `verdict` is the form that the data of all groups support, or "none";
+    `left_out_rows` lists outlying rows of a log. Over the groups and `lane`, the dataset holds the data: data_relief
+    [1], data_rate_of_penetration [m/s], and `data_use`.
 
-    **Raises:** `InputError`.
+    **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 
     **Example:**
 

@@ -17,12 +17,27 @@ from vibrojax.io.attributes import attribute_of, flags, table_of
 from vibrojax.io.log_columns import RATE
 from vibrojax.io.riglog import LIMITS_OF_LOGS, is_log, log_lines
 from vibrojax.physics.units import factor
-from vibrojax.pictures.axes import in_units, margins, pretty_unit, scale, with_unit
+from vibrojax.pictures.axes import in_units, margins, number, pretty_unit, scale, with_unit
 from vibrojax.pictures.colours import form_colour, value_axis, value_of
 from vibrojax.pictures.contents import FORM, POINT, law_in, named_groups
+from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets, stacked
 from vibrojax.pictures.lines import Series, curves, longest_axis, row_per_facet, value_lines
-from vibrojax.pictures.plots import FAINT, Area, Axis, Dash, Layer, Line, Look, Plot, Sheet, bars, dots, key, upright
-from vibrojax.pictures.sheet import LEGEND_WIDTH, at, facets
+from vibrojax.pictures.plots import (
+    FAINT,
+    Area,
+    Axis,
+    Dash,
+    Key,
+    Layer,
+    Line,
+    Look,
+    Plot,
+    Sheet,
+    bars,
+    dots,
+    key,
+    upright,
+)
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, FORMULAS, LOGARITHMIC, SAME_AS_ONSET, Standing
@@ -197,12 +212,12 @@ def verdict(fit: xr.Dataset) -> list[str]:
         if founder.is_known:
             fall, error = (_PER_HOUR * _PER_STEP * value for value in (founder.fall, founder.fall_stderr))
             above = f"falls by {fall:.3g} ± {error:.2g} m/h per 10 kN" if founder.falls else "does not rise"
-            weight = f"{founder.weight / 1e3:.4g} ± {founder.weight_stderr / 1e3:.2g} kN"
+            weight = f"{founder.weight / 1e3:.4g} ± {founder.weight_stderr / 1e3:.3g} kN"
             weights.append(f"{title}: {weight}; above it the rate {above}")
         if unknown and np.isfinite(group.loc["onset", "onset_force"]):
             onset, error = group.loc["onset", ["onset_force", "onset_force_stderr"]] / 1e3
             slope = f"line C/D = {1e3 * group.loc['line', 'C'] / force:.4g} m/s per kN"
-            onsets.append(f"{title}: onset eta0 D = {onset:.4g} ± {error:.2g} kN; {slope}")
+            onsets.append(f"{title}: onset eta0 D = {onset:.4g} ± {error:.3g} kN; {slope}")
         if choice := recommended(fit, group):
             scales = [(choice, "m/s"), *([(choice["in_unit"], choice["unit"])] if "unit" in choice else [])]
             texts = [f"{x['C']:.4g} {unit} ({x['low']:.4g} to {x['high']:.4g})" for x, unit in scales]
@@ -247,10 +262,11 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         fit = fit.sel({FORM: [name for name in fit[FORM].values if name not in SAME_AS_ONSET]})
     groups, count = facets(fit, (), _MOST_GROUPS), fit["C"].size // fit.sizes[FORM]
     along = "the rows of the table" if fit.attrs["along"] == POINT else fit.attrs["along"]
+    limit = BLOCK_LIMIT if fit["cv_error"].notnull().any() else AIC_LIMIT
     notes = [
         f"Data and curves of {len(groups)} of {count} groups" * (len(groups) < count),
         f"Fitted along {along}; bars and bands of one standard error of C",
-        f"Evidence above {BLOCK_LIMIT if fit['cv_error'].notnull().any() else AIC_LIMIT:g} rejects a form",
+        f"Evidence above {limit:g} rejects a form",
         LIMITS_OF_LOGS * is_log(fit),
     ]
     is_cloud = fit["data_use"].sizes["lane"] >= _CLOUD  # many lanes are small and faint, below the curves
@@ -263,7 +279,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     ]
     used = {flag for group in groups.data for flag in np.unique(group["data_use"])}
     uses = [name for flag, name in flags(fit["data_use"]).items() if flag in used and name in _USES]
-    keys: list[list[Layer]] = [[], [dots(label=_USES[use][0], **looks[use] | {"size": 4.5}) for use in uses]]
+    keys: list[list[Key]] = [[], [dots(label=_USES[use][0], **looks[use] | {"size": 4.5}) for use in uses]]
     for name in map(str, fit[FORM].values):
         formula = FORMULAS[name]
         for text, sign in {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}.items():
@@ -271,7 +287,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         if len(groups) == 1:
             formula += f"\nevidence against {float(fit['evidence_against'].sel({FORM: name}).squeeze()):.1f}"
         keys[0].append(key(f"{name}\n{formula}", dash=_DASHES.get(name, "-"), colour=form_colour(name)))
-    size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * -(-len(groups) // wide) + 0.8
+    size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * -(-len(groups) // wide) + STACK_MARGINS
     above, x = Sheet(plots, size, keys=keys, **margins(fit, *notes)), longest_axis(fit)
     if not x.name:
         return above
@@ -288,11 +304,18 @@ def law_lines(fit: xr.Dataset) -> Sheet:
             c, error = (value.factor * np.ravel(lanes[part].values) for part in ("C", "C_stderr"))
             error = np.nan_to_num(error, posinf=0.0)
             layers.append(Line(*bars(x.of(lanes), c - error, c + error), colour, 0.9, marker="_"))
+        if name == "evidence_against":
+            kept = f"not rejected: up to {limit:g}"
+            layers.append(Area([-np.inf, np.inf], [0.0, 0.0], [limit, limit], FAINT, 0.25, label=kept))
+            for _, colour, lanes in lines:
+                chosen = np.where(np.ravel(lanes["standing"]) == Standing.CHOSEN, np.ravel(lanes[name]), np.nan)
+                layers.append(dots(x.of(lanes), chosen, size=9.0, colour=colour, order=3.0))
         return Plot(layers, x.axis(shown), value_axis(value, group=name))
 
+    keys[1].insert(0, dots(label="chosen form", size=9.0))
     draws = [lambda lines: draw(lines, "C"), lambda lines: draw(lines, "evidence_against")]
     sheet = row_per_facet(shown, x, FORM, draws, keys, *notes)
-    return replace(sheet, above=above, size=(max(size[0], sheet.size[0]), sheet.size[1] + size[1] - 0.8))
+    return stacked(above, sheet)
 
 
 def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: bool, looks: dict[str, Look]) -> Plot:
@@ -328,7 +351,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
             layers.append(Line([across * end, across * high], [curve[-1], curve[-1] - fall], **look))
         if int(of["standing"]) == Standing.CHOSEN and not (group["standing"] == Standing.UNDECIDED).any():
             c, half = (scale_of_rate * float(of[part]) for part in ("C", "C_stderr"))
-            title = f"{title}\nC = {c:.3g} ± {half:.1g} {pretty_unit(unit)}".strip()
+            title = f"{title}\nC = {c:.3g} ± {number(float(f'{half:.1g}'))} {pretty_unit(unit)}".strip()
     if end < high:
         layers.append(upright(across * end, dash=":", width=1.0, label="founder weight"))
     # Neither weights beyond reason nor the curve of a form far from the data stretch the axes.

@@ -144,11 +144,12 @@ def sensitivity(
 
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. Unless the dataset has orbits
       (`orbits = true`), its sweep is run again.
-    - Instead of a sweep, a scene: its name, or the scene itself. The derivatives are then taken at one point, the
-      `parameters` (SI, as in `simulate`), of the orbit on which the motion from `start` settles. A name that is also a
-      bundled sweep's, such as "drilling", means the scene if any argument of a point is given.
+    - Instead of a sweep, `source` can be a scene or its name. The derivatives are then those of the orbit on which the
+      motion from `start` settles, at one point: the `parameters` (SI, as in `simulate`). A name that is also a bundled
+      sweep's, such as "drilling", means the scene if any argument of a point is given.
     - `by`: parameters of the scene, by default all.
-    - `of`: variables at a point, by default all that vary smoothly. `settle`, `observe` [s]: as in a sweep.
+    - `of`: variables to differentiate at a point, by default all that vary smoothly. `settle`, `observe` [s]: as in a
+      sweep.
 
     **Returns:** a dataset over the dimensions of the sweep; at a point, without these dimensions.
 

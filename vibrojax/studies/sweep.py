@@ -11,11 +11,10 @@ from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, ta
 from vibrojax.io.kinds import kind_of
 from vibrojax.physics.rock import ROCKS
 from vibrojax.pictures.contents import Contents
-from vibrojax.pictures.lines import regime_lines
+from vibrojax.pictures.lines import rates, regime_lines
 from vibrojax.pictures.maps import rate_grid, regime_bars, regime_grid
 from vibrojax.pictures.overlays import ON_MAPS, refuse_overlays
 from vibrojax.pictures.plots import Picture
-from vibrojax.pictures.rates import rates
 from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.starts import many_starts
 from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart

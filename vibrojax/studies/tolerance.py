@@ -165,8 +165,8 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
                 layers.append(dots(values_along(ds[name])[ends], y[ends], **_EXTREME))
                 layers.append(replace(_NOMINAL_POINT, x=values_along(ds[name])[:1], y=y[:1]))
                 layers.append(Points(values_along(ds[name]), y, colours, size, **look))
-            across = axis(ds[name], group=name, margin=0.08, intervals=4)
-            up = axis(lanes[quantity], group=quantity, margin=0.08)
+            across = axis(ds[name], group=name, intervals=4)
+            up = axis(lanes[quantity], group=quantity)
             plots.append(Plot(layers, across, up, place=(row, column)))
     keys = regime_keys([lanes["regime"]])
     for marker, start in zip(_MARKERS, starts if len(starts) > 1 else [], strict=False):
@@ -232,7 +232,7 @@ def tolerance_variables(names: Container[str]) -> dict[str, Variable]:
     variables = dict(SAMPLE_VARIABLES)
     for name, (word, text) in product((name for name in QUANTITIES if name in names), _WORDS.items()):
         meaning = f"{text} {VARIABLES[name].long_name.removeprefix(f'{text} ')} of the samples"
-        where = f"sample with {name}_{word}; -1: the quantity exists nowhere"
+        where = f"number of the sample with {name}_{word}; -1: no sample has a value"
         variables[f"{name}_{word}"] = Variable(VARIABLES[name].units, meaning)
         variables[f"{name}_{word}_sample"] = Variable("1", where, np.int32)
     return variables
@@ -246,14 +246,14 @@ def tolerance(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """Simulate a machine at samples of the box of its parameter tolerances, and return their extremes and regimes.
+    """Simulate a machine at samples of the box of its parameter tolerances, and return the extremes and regimes.
 
         box = vj.tolerance("vibro-impact", beta=0.4, gamma=(0.75, 0.01), delta=(0.005, 0.001))
         box.impact_velocity_least  # m/s, the worst of the samples from each start
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
-    Each sample runs from every start. A search around the extreme samples of periodic motions, along the parameters and
-    their sensitivities, adds more extreme points. The extremes are not bounds of the box.
+    Each sample runs from every start. A search around the most extreme periodic samples, along each parameter and along
+    the signs of the gradient, adds more extreme points. The extremes are not bounds of the box.
 
     **Arguments:**
 
@@ -290,14 +290,15 @@ def tolerance(
 
 
 class Tolerances(MachineAnalysis[ToleranceBox]):
-    """Simulate a machine at samples of the box of its tolerances: regimes, extremes, and where they occur."""
+    """Simulate a machine at samples of its tolerance box: regimes, extremes, and where they occur."""
 
     kind = "tolerance"
     variables = SAMPLE_VARIABLES
     pictures = (PictureRule("extremes of the samples of a tolerance box", lambda held: True, extremes_picture),)
     view = "plots"
     run_settings = ("settle", "observe", "error")
-    file, lists, tolerances = "SCENE-tolerance.nc", False, True
+    file, numbered = "SCENE-tolerance.nc, SCENE-tolerance-2.nc, ...", True
+    lists, tolerances = False, True
 
     def machines(
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
@@ -400,7 +401,7 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         facts, lines = {}, list[str]()
         if (shares > 0).any():
             where = [
-                f"{100 * x:.2g} % of the samples" + f" from {start}" * bool(start)
+                f"{100 * x:.3g} % of the samples" + f" from {start}" * bool(start)
                 for x, start in zip(shares, starts, strict=True)
             ]
             lines.append(

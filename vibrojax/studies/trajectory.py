@@ -30,8 +30,7 @@ from vibrojax.maps.read import Point, read_point
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.physics.parameters import differing
 from vibrojax.pictures.axes import pretty_unit, scale
-from vibrojax.pictures.hole import pulses, response
-from vibrojax.pictures.motion import states_over_time, trajectory
+from vibrojax.pictures.motion import pulses, response, states_over_time, trajectory
 from vibrojax.progress import LOG, Progress
 from vibrojax.scenes import HasFriction, HasRock, Scene
 from vibrojax.settings.code_identity import code_identity
@@ -83,18 +82,20 @@ def simulate(
     - `duration`: simulated time [s]; by default 20 s, or 50 cycles of a `vj.System`.
     - `method`: "located" (default), "smoothed", or "diffrax".
     - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5". Specifying `solver` selects "diffrax".
-    - `error`: accepted relative error, from which step sizes and tolerances follow, unless the next two are specified.
+    - `error`: accepted relative error, from which step sizes and tolerances follow, unless `step` or `smoothing` is
+      given.
     - `step`: maximum step size, or the step size of the smoothed method [s].
-    - `smoothing`: width of the friction switch [m/s].
-    - `sampling`: interval of the samples [s]; by default a twentieth of the contact's duration, 1 ms without contact.
+    - `smoothing`: sliding velocity [m/s] over which the smoothed method spreads the jump of dry friction.
+    - `sampling`: interval of the samples [s]; by default a twentieth of the duration of an impact, or 1 ms if the scene
+      has no impacts.
 
-    **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], stuck; with rock also x3, x4,
-    v3, rock_force and applied_force [N]. Along `event`, the dataset has the times and kinds of events. Scalar variables
-    describe the last part of the motion, as in a sweep: regime, period and so on. The attribute `run` contains the
-    settling and observation times. The observation takes a sixth of the duration, or half of a short duration. A
-    diffrax solver gives neither events nor these scalars.
+    **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], and stuck (1 while the bit
+    sticks); scenes with rock also have x3, x4, v3, rock_force and applied_force [N]. Along `event`, the dataset has the
+    times and kinds of events. Scalar variables describe the last part of the motion, as in a sweep: regime, period and
+    so on. The attribute `run` contains the settling and observation times. The observation takes a sixth of the
+    duration, or half of a short duration. A diffrax solver gives neither events nor these scalars.
 
-    **Raises:** `InputError` if a name or value is wrong, or, before the simulation, if steps or samples are too many.
+    **Raises:** `InputError` if a name or value is wrong, or if the simulation would take too many steps or samples.
 
     **Example:**
 
@@ -141,11 +142,13 @@ class Trajectories(MachineAnalysis[Point]):
 
     duration: float | None = setting(None, "simulated time, s", unit="s", above=0.0)
     sampling: float | None = setting(None, "interval of the samples, s", unit="s", above=0.0)
-    error: float | None = setting(None, "accepted relative error: 0.0001", above=0.0)
+    error: float | None = setting(None, "accepted relative error; default: 0.0001", above=0.0)
     method: str | Stepper | None = setting(None, "located, smoothed or diffrax", read=_named)
-    solver: str | Any | None = setting(None, "a solver of diffrax", read=_named)
-    step: float | None = setting(None, "greatest step, s", unit="s", above=0.0)
-    smoothing: float | None = setting(None, "width of the friction switch, m/s", unit="m s-1", above=0.0)
+    solver: str | Any | None = setting(None, "name of a diffrax solver", read=_named)
+    step: float | None = setting(None, "longest step, s", unit="s", above=0.0)
+    smoothing: float | None = setting(
+        None, "velocity over which the smoothed method spreads the jump of friction, m/s", unit="m s-1", above=0.0
+    )
 
     def machines(
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
@@ -297,7 +300,7 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
         last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
     drift = values.get("drift_estimate", math.nan)
     if drift > REPORTED_DRIFT:
-        far = f"by some {100 * drift:.2g} %" if math.isfinite(drift) else "and its returns do not tell how far"
+        far = f"by some {100 * drift:.3g} %" if math.isfinite(drift) else "and its returns do not tell how far"
         last += f"; still on its way to where it settles, {far}: a longer duration brings it there"
     return [*lines, last]
 
@@ -315,7 +318,7 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         advice = at_rest if still else "give a longer duration"
         if returns > 1:
             observed, last = run_of(ds)["observe"], float(ds["time"][-1])
-            advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.2g}"
+            advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.3g}"
         count = (
             f"{returns} returns to the section are" if returns > 1 else ("one return is", "no return is")[not returns]
         )
@@ -323,7 +326,7 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         repeats = f"so far it repeats in each period of {cycles * period:.5g} s; " if cycles else ""
         return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {repeats}{advice}"
     if regime == "undecided":
-        return "undecided: the swing steadily grows or decays; a longer duration shows what it ends in"
+        return "undecided: the amplitude steadily grows or decays; a longer duration shows what it ends in"
     if regime == "failed":
         return "failed: the motion does not stay finite"
     cycles = int(values["cycles"])
@@ -381,6 +384,6 @@ def _rock_below_threshold(ds: xr.Dataset, threshold: float) -> str:
         return "the rock does not yield"
     change = "a greater v" if "impact_velocity" in ds else "a greater force"
     return (
-        f"the rock force reaches {force / 1e3:.4g} kN, {force / threshold:.2g} of the threshold D = "
+        f"the rock force reaches {force / 1e3:.4g} kN, {force / threshold:.3g} of the threshold D = "
         f"{threshold / 1e3:.4g} kN at which the rock yields; a softer rock or {change} raises it"
     )

@@ -33,7 +33,7 @@ class Impact:
       by minus this coefficient (Newton's law, also for a stop that moves).
     - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)`, or `reset(t, y, p, s)` with the
       sides of switches and the discrete states, that returns new values of states and discrete states by name. Such a
-      stop cannot hold the motion: bounces that accumulate end as a failed lane.
+      stop cannot hold a body at rest: a lane whose bounces accumulate fails.
     - `direction`: with a `reset`, -1 or 1 for an event that happens where the gap falls or rises through zero. The gap
       may then have both signs, and nothing happens in the other direction.
 
@@ -78,12 +78,12 @@ class Switch:
     """A surface on which the field changes.
 
     - `function`: function `function(t, y, p)`, positive on one side of the surface and negative on the other.
-    - `impact`: True for a soft contact, which begins where the function becomes positive. This is counted as an impact
-      with the rate of change of the function as its velocity.
+    - `impact`: True for a soft contact, which begins where the function becomes positive. This counts as an impact; its
+      velocity is the rate of change of the function.
 
     The field takes a fourth argument `s`; `s[name]` is the side, 1 or -1. Where the fields of both sides push towards
     the surface, the motion slides along it by Filippov's convex combination of the two fields. Sliding ends when one
-    field leads away (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
+    of the fields points away from it (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
 
     **Example:**
 
@@ -113,10 +113,10 @@ class Friction:
     - `law`: a friction law or the name of one of `vj.FRICTION_LAWS`, whose parameters become parameters of the system;
       or a constant coefficient, a number or a function of `p`.
     - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
-    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; left out, it is that of
-      the law at rest.
-    - `lift_off`: True if a negative normal force counts as zero. Otherwise it ends the motion with a reason, because
-      friction would drive the body.
+    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; by default, the
+      coefficient of the law at rest.
+    - `lift_off`: True if a negative normal force counts as zero. Otherwise such a force ends the motion with a reason,
+      because friction would drive the body.
 
     **Example:**
 

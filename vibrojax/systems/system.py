@@ -55,17 +55,16 @@ class System(SystemScales):
       returns the time derivative of each state by name.
     - `period`: period of the forcing [s], a number or a function of `p`. The section is then at the times 0, T, ...
     - `section`: for a system without forcing, the name of a state, or a pair of a name and a number: the section is
-      where the state rises through zero, or through the number. A function `section(t, y, p)` of the states rises
-      through zero there. Without `period` and `section`, as for a field that does not repeat, a system can be simulated
-      but not measured.
+      where the state rises through zero, or through the number. Or a function `section(t, y, p)`, which rises through
+      zero at the section. Without `period` and `section`, a system can be simulated but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
     - `modes`: initial value of each discrete state by name. The resets of events change them; the field and other
       functions read them as `s[name]`. In datasets they are among the states.
-    - `rate`: function of `p` that returns the fastest rate of change [1/s]; left out, it is the spectral radius of the
-      field's Jacobian at the initial state.
-    - `regimes`: names of the system's own for regimes, such as `{"periodic": "rocking"}`.
+    - `rate`: function of `p` that returns the fastest rate of change [1/s]; by default, it is the spectral radius of
+      the field's Jacobian at the initial state.
+    - `regimes`: the system's own names of regimes, such as `{"periodic": "rocking"}`.
 
-    A start that is not given is zero in all states. Trajectories have the states' names.
+    The default initial condition is zero in all states. Trajectories have the states' names.
 
     **Raises:** `InputError` if a function gives something that cannot be used.
 

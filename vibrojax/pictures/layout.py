@@ -1,0 +1,218 @@
+"""Layout of pictures: facets, sheets above each other, and pictures in the width of a journal's column.
+
+A facet has the lanes at one combination of values of the axes that are neither abscissa nor ordinate. A narrow picture
+has fewer panels side by side, smaller type, and the legend below.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
+from itertools import product
+from math import ceil, lcm, prod
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from vibrojax.errors import InputError, shown
+from vibrojax.pictures.axes import broken, broken_title, index_text, number, pretty_unit, scale, short, symbol
+from vibrojax.pictures.contents import START, is_numeric, lane_dims
+from vibrojax.pictures.plots import Axis, Plot, Sheet, legend_of
+
+MOST_PANELS = 12
+
+PAGE = (16.0, 20.0)
+"""Greatest width and height [inch] of a sweep's picture, margins included."""
+
+LEGEND_WIDTH = 1.9
+"""The approximate width [inch] of a legend at the right."""
+
+
+@dataclass(frozen=True)
+class Facets:
+    """The facets of a picture: their titles and their lanes.
+
+    - `counts`: numbers of values of the axes, of which the last one changes from facet to facet.
+    - `note`: text that lists the values shown, empty if none are left out.
+    """
+
+    titles: tuple[str, ...]
+    data: tuple[xr.Dataset, ...]
+    counts: tuple[int, ...] = (1,)
+    note: str = ""
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def __iter__(self) -> Iterator[tuple[str, xr.Dataset]]:
+        return zip(self.titles, self.data, strict=True)
+
+    def places(self, most: int) -> list[tuple[int, int]]:
+        """Return the row and column of each facet, in at most `most` columns.
+
+        Rows end where the values of an axis end, or the values of the last axis are below each other; as few places as
+        possible stay empty.
+        """
+        count, last = len(self), self.counts[-1]
+        if count <= most:
+            return [(0, k) for k in range(count)]
+        runs = np.cumprod(self.counts[::-1]).tolist()  # facets after which the values of an axis repeat
+        step = max((run for run in runs if run <= most), default=1)
+        choices = [(n, False) for n in range(2, most + 1) if n % step == 0]
+        choices += [(count // last, True)] if last > 1 and 1 < count // last <= most else []
+        wide, turned = min(choices, key=lambda c: (c[0] < 3, -count % c[0], not c[1], -c[0]), default=(most, False))
+        return [divmod(k, last)[::-1] if turned else divmod(k, wide) for k in range(count)]
+
+
+def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Facets:
+    """Split the dataset into at most `most` facets along its lane dimensions that are not in `along`."""
+    sizes = {name: ds.sizes[name] for name in lane_dims(ds) if name not in along}
+    counts = dict(sizes)
+    while prod(counts.values()) > most:  # initial conditions are left out last
+        droppable = [name for name in counts if name != START and counts[name] > 1] or list(counts)
+        counts[max(droppable, key=counts.__getitem__)] -= 1
+    picks = {  # from the first to the last value; the middle value if there is room for only one
+        name: [size // 2] if counts[name] == 1 else np.linspace(0, size - 1, counts[name]).round().astype(int).tolist()
+        for name, size in sizes.items()
+    }
+    indices = [dict(zip(sizes, pick, strict=True)) for pick in product(*picks.values())]
+    titles = tuple(", ".join(index_text(ds, name, i) for name, i in index.items()) for index in indices)
+    texts = [
+        f"{_listed(ds, name, pick)} ({len(pick)} of {sizes[name]} values)"
+        for name, pick in picks.items()
+        if len(pick) < sizes[name]
+    ]
+    note = f"Too many panels to show all; here {'; '.join(texts)}" if texts else ""
+    return Facets(titles, tuple(ds.isel(index) for index in indices), tuple(counts.values()) or (1,), note)
+
+
+def at(facet: xr.Dataset) -> dict[str, Any]:
+    """Return the values of the axes that a facet is at."""
+    return {str(name): data.values.item() for name, data in facet.coords.items() if data.ndim == 0}
+
+
+def _listed(ds: xr.Dataset, name: str, pick: list[int]) -> str:
+    if name not in ds.coords:
+        return "; ".join(index_text(ds, name, i) for i in pick)
+    values, (factor, unit) = ds[name].values[pick], scale(ds[name]) if is_numeric(ds[name]) else (1.0, "")
+    texts = [number(float(x) * factor) if is_numeric(ds[name]) else short(str(x)) for x in values]
+    return f"{symbol(ds[name])} = {', '.join(texts)} {pretty_unit(unit)}".rstrip()
+
+
+STACK_MARGINS = 0.8
+"""Height [inch] of title, note and axis labels of a sheet, of which `stacked` keeps one."""
+
+
+def stacked(above: Sheet, below: Sheet) -> Sheet:
+    """Return a sheet with the plots of one sheet above those of another; its legend, title and note are of the latter.
+
+    The panels of a sheet must be of equal width.
+    """
+    columns, plots, first = lcm(len(above.widths), len(below.widths)), [], 0
+    heights: list[float] = []
+    for sheet in (above, below):
+        each = columns // len(sheet.widths)
+        for plot in sheet.plots:
+            row, column, deep, wide = plot.span
+            plots.append(replace(plot, place=(first + row, column * each, deep, wide * each)))
+        first += len(sheet.heights)
+        heights += [(sheet.size[1] - STACK_MARGINS) * height / sum(sheet.heights) for height in sheet.heights]
+    size = max(above.size[0], below.size[0]), sum(heights) + STACK_MARGINS
+    return replace(below, plots=plots, size=size, widths=[1.0] * columns, heights=heights)
+
+
+# Narrow pictures.
+
+WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
+"""Width [inch] that the user chose for the picture; None if each picture has its own."""
+
+_INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0}
+_NARROWEST, _NARROW, _WIDEST = 1.5, 4.5, 40.0  # [inch]; a narrow picture shows fewer maps
+_LEAST_PANEL, _LEAST_SHARED = 1.25, 1.1  # least width [inch] of a panel with its labels, and with those of its row
+_KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
+_MOST_ACROSS = 6
+LETTERS = 14.5
+"""Characters of small type along an inch."""
+
+_MOST_SQUARE = 3.5  # greatest height [inch] of a square panel
+_MAP_ASPECT = 1.2  # height of a narrow map above its label and colour bar, in units of its width with labels
+_LEAST_SHARE, _LOW = 0.75, 0.7  # by which a panel gets lower at most, and height [inch] below which it stays
+
+
+def read_width(width: str | float | int | None) -> float | None:
+    """Return a width in inches, given as text like "85mm" or as a number of millimetres.
+
+    **Raises:** `InputError` if it is neither.
+    """
+    if width is None:
+        return None
+    match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|in)?\s*", str(width))
+    inches = float(match[1]) * _INCHES[match[2] or "mm"] if match else 0.0
+    if not _NARROWEST <= inches <= _WIDEST:
+        raise InputError(f"width: {shown(width)} is not the width of a picture; give one like 85mm or 170mm")
+    return inches
+
+
+def is_narrow() -> bool:
+    """Return whether the user chose a narrow picture."""
+    return (WIDTH.get() or np.inf) <= _NARROW
+
+
+def in_width(sheet: Sheet, width: float) -> Sheet:
+    """Return a sheet in a width [inch]; if it has to be narrower, its legend is below.
+
+    Rows of panels that would be too narrow are broken into several rows.
+    """
+    if width >= sheet.size[0]:
+        return replace(sheet, size=(width, sheet.size[1]))
+    tall = sheet.size[1] / sum(sheet.heights)
+    wide = (sheet.size[0] - LEGEND_WIDTH * bool(legend_of(sheet))) / sum(sheet.widths)
+    rows: dict[tuple[bool, int], list[Plot]] = {}
+    for plot in sorted(sheet.plots, key=lambda plot: (plot.span[2] > 1, plot.place)):  # tall panels come last
+        rows.setdefault((plot.span[2] > 1, plot.place[0]), []).append(plot)
+    parts: list[tuple[list[Plot], float, float]] = []  # rows with the width and the height of their panels
+    for row in rows.values():
+        least = _LEAST_SHARED if row[0].y.group else _LEAST_PANEL
+        # Maps of one axis have equal widths, also in a row that is not full.
+        alike = [len(other) for other in rows.values() if other[0].x.group == row[0].x.group != ""]
+        count = max(alike, default=len(row))
+        across = -(-count // ceil(count / min(count, max(1, int(width / least)), _MOST_ACROSS)))  # rows of equal length
+        first, column, deep, spanned = row[0].span
+        height = tall * sum(sheet.heights[first : first + deep])
+        if height >= _LOW:
+            share = width / across / (wide * sum(sheet.widths[column : column + spanned]))
+            height *= min(1.0, max(share, _LEAST_SHARE))
+        height = min(height, width / across, _MOST_SQUARE) if row[0].square else height
+        for part in (row[k : k + across] for k in range(0, len(row), across)):
+            parts.append((part, width / (across if alike else len(part)), height))  # no gap beside the last panel
+    columns = lcm(*(round(width / each) for _, each, _ in parts))
+    plots = []
+    for k, (part, each, height) in enumerate(parts):
+        span = round(columns * each / width)
+        plots += [_narrowed(replace(plot, place=(k, i * span, 1, span)), each, height) for i, plot in enumerate(part)]
+    heights = [height for *_, height in parts]
+    size = width, sum(heights) + 0.12 * len(parts)
+    return replace(sheet, plots=plots, size=size, widths=[1.0] * columns, heights=heights, beside=False)
+
+
+def _narrowed(plot: Plot, width: float, height: float) -> Plot:
+    """Return a panel whose texts are broken, and whose ticks are fewer, in a width and height [inch]."""
+
+    def axis(of: Axis, length: float) -> Axis:
+        letters = int(LETTERS * length)
+        label = broken(of.label, letters)
+        if label.count("\n") > 1:  # without the words before the symbol
+            label = broken(of.label.rpartition(", ")[2], letters)
+        few = 3 if length < 1.0 else 4
+        intervals = min(of.intervals or few, few) if length < 2.2 else of.intervals
+        texts = [text for _, text in of.ticks or ()]
+        crowded = sum(len(text) + 2 for text in texts) > 1.2 * LETTERS * length and max(map(len, texts)) > 4
+        rotated = of.rotated or (of is plot.x and crowded)
+        return replace(of, label=label, intervals=intervals, rotated=rotated)
+
+    # A legend of the plot's own would be as wide as the plot.
+    keys = "" if width < _KEYS_PANEL else plot.keys
+    title = broken_title(plot.title, max(int(LETTERS * (width - 0.2)), 10))
+    inside = min(height, _MAP_ASPECT * width) if plot.has_cells else height
+    return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, inside), keys=keys)
