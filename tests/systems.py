@@ -59,6 +59,19 @@ IMPACT_OSCILLATOR = vj.System(
 )
 """A mass on a spring, shaken against a stop: Shaw and Holmes, Journal of Sound and Vibration 90 (1983), 129."""
 
+WALLS = vj.System(
+    "walls",
+    states={"x": "m", "v": "m s-1"},
+    parameters={"d": 0.32},
+    field=lambda t, y, p: {"x": y["v"], "v": cos(0.9 * t) - 0.06 * y["v"] - y["x"]},
+    period=lambda p: 2 * np.pi / 0.9,
+    events=[
+        vj.Impact("right", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: 0.7),
+        vj.Impact("left", gap=lambda t, y, p: p["d"] + y["x"], velocity="v", restitution=lambda p: 0.7),
+    ],
+)
+"""The same mass between two walls: symmetric orbits, and pairs of asymmetric ones."""
+
 BALL = vj.System(
     "ball",
     states={"x": "m", "v": "m s-1"},

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from systems import WALLS
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -137,3 +138,21 @@ NUMBERS = {
 def test_traced_numbers_are_refused_with_advice(name):
     with pytest.raises(InputError, match=r"^[^\n]* is traced by jax [^\n]* or use vj.as_jax"):
         jax.jit(NUMBERS[name])(0.4)
+
+
+def test_branch_ends_at_pitchfork():
+    """A symmetric orbit between two walls meets its two twins at a pitchfork, where its own multiplier is 1.
+
+    Close to it they are less than 1 % apart: a twin that is followed beyond does not become the symmetric orbit, which
+    is stable there, nor does the symmetric orbit become a twin on the other side.
+    """
+    twin, symmetric = (vj.as_jax(WALLS, of="impact_velocity", by="d", start=[0.1, 0.3], at=[at]) for at in (0.32, 0.4))
+    d = np.array([[0.32], [0.34], [0.345], [0.37]])
+    for function in twin, symmetric:
+        function(d[0])
+    own, other = twin._branch.evaluate(d), symmetric._branch.evaluate(d)
+    assert own.valid.tolist() == [True, True, False, False] and other.valid.tolist() == [False, False, True, True]
+    assert (other.values[:2, 1] > 0).all()  # unstable
+    meeting = symmetric._branch.evaluate(own.reached[2:])
+    np.testing.assert_allclose(meeting.values[:, 1], 0, atol=1e-5)
+    np.testing.assert_allclose(meeting.values[:, 0], own.values[2:, 0], rtol=1e-6)

@@ -6,6 +6,7 @@ from scipy.optimize import brentq
 from systems import (
     BALL,
     IMPACT_OSCILLATOR,
+    WALLS,
     ball_appears,
     ball_doubles,
     ball_orbit,
@@ -107,3 +108,15 @@ def test_fold_and_period_doubling_of_ball_on_shaken_table():
     family = vj.follow(BALL, along="a", at=a, span=span, start=start, cycles=1, progress=False)
     assert special_values(family, "fold") * w**2 / g == pytest.approx([low], rel=1e-8)
     assert special_values(family, "period-doubling") * w**2 / g == pytest.approx([high], rel=1e-8)
+
+
+def test_graze_is_the_same_from_both_sides():
+    """The orbit with one impact at each wall grazes both, where a branch with two impacts at each leads to it.
+
+    On the side of two impacts, multipliers grow as the square of the inverse velocity of these impacts.
+    """
+    [smooth], [steep] = (
+        special_values(vj.follow(WALLS, along="d", at=0.4, span=span, start=start, cycles=1, progress=False), "grazing")
+        for start, span in (([0.2, -0.6], (0.29, 0.41)), ([0.1, 0.3], (0.29, 0.46)))
+    )
+    assert steep == pytest.approx(smooth, rel=2e-9)

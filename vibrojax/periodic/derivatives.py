@@ -24,7 +24,7 @@ from vibrojax.measures.recorder import Effort, LaneState, observe_block, settle_
 from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.section import on_orbit
 from vibrojax.periodic.measuring import observation, past_states, past_times
-from vibrojax.periodic.newton import PerLane, chain
+from vibrojax.periodic.newton import PerLane, chain, solve
 from vibrojax.periodic.return_map import in_calls
 from vibrojax.periodic.tangent_loop import with_derivatives
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, ZERO_MULTIPLIER, Variations, eigenvalues
@@ -73,13 +73,21 @@ class OrbitFeatures(NamedTuple):
 
     - `values`, `derivatives`: of the features `of`, and with respect to the parameters `by`; NaN where unknown.
     - `reason`: why value or derivative do not hold, a flag of `DERIVATIVE_REASONS`; 0 where they hold.
-    - `state_derivatives`: derivatives of the states at the section crossings.
+    - `state_derivatives`, `determinant_derivatives`: those of the states at the section crossings, and of det(I - A),
+      where A is the derivative of the map over one period.
     """
 
     values: Float[np.ndarray, "orbits of"]
     derivatives: Float[np.ndarray, "orbits of by"]
     reason: Int[np.ndarray, "orbits of"]
     state_derivatives: Float[np.ndarray, "orbits cycles states by"]
+    determinant_derivatives: Float[np.ndarray, "orbits by"]
+
+    def along(
+        self, way: Float[np.ndarray, "orbits by"]
+    ) -> tuple[Float[np.ndarray, "orbits cycles states"], Float[np.ndarray, " orbits"]]:
+        """Return the derivatives of states and determinants along one direction of the parameters for each orbit."""
+        return np.einsum("lksj,lj->lks", self.state_derivatives, way), (self.determinant_derivatives * way).sum(axis=1)
 
     @property
     def valid(self) -> Bool[np.ndarray, " orbits"]:
@@ -152,7 +160,8 @@ def differentiated(
         values[:, place] = np.where(whole, value, np.nan)
         known = whole & ~neutral & np.isfinite(value)
         derivatives[:, place] = np.where(known[:, None], slope, np.nan)[:, :count]
-    return OrbitFeatures(values, derivatives, reasons, varied.d_states[..., :count])
+    trend = _determinant_slopes(chain(varied.jacobian), varied.d_product)
+    return OrbitFeatures(values, derivatives, reasons, varied.d_states[..., :count], trend[:, :count])
 
 
 def _moduli(varied: Variations, scales: Float[np.ndarray, "lanes states"]) -> tuple[np.ndarray, ...]:
@@ -164,6 +173,16 @@ def _moduli(varied: Variations, scales: Float[np.ndarray, "lanes states"]) -> tu
     by_modulus[is_zero] = moduli[is_zero] = 0.0
     neutral = ~(np.abs(1 - values).min(axis=1) >= NEUTRAL) | ~np.isfinite(varied.d_states).all(axis=(1, 2, 3))
     return moduli, by_modulus, alike, neutral
+
+
+def _determinant_slopes(product: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "lanes by"]:
+    """Return the derivatives of det(I - A) from those of A, by Jacobi's formula: d tr((I - A)⁻¹ dA) less."""
+    matrix = np.eye(product.shape[1]) - product
+    lanes, rows, _, count = slopes.shape
+    shift = solve(matrix, slopes.reshape(lanes, rows, rows * count)).reshape(slopes.shape)
+    sound = np.isfinite(matrix).all(axis=(1, 2))
+    determinant = np.linalg.det(np.where(sound[:, None, None], matrix, 0.0))
+    return np.asarray(-determinant[:, None] * np.einsum("lssj->lj", shift))
 
 
 def _of_multiplier(name: str, alike: Bool[np.ndarray, "lanes states"]) -> Bool[np.ndarray, " lanes"]:

@@ -19,10 +19,11 @@ from vibrojax.periodic.location import (
     branch_distance,
     classify_event_changes,
     cross_impact,
+    extrapolated_graze,
     reindex_returns,
     turn_corner,
 )
-from vibrojax.periodic.newton import multipliers
+from vibrojax.periodic.newton import multipliers, spectral_radius
 from vibrojax.periodic.problem import Flags, Index, Points, Problem, towards
 from vibrojax.periodic.segments import (
     ENDINGS,
@@ -50,6 +51,9 @@ two descriptions of one branch point."""
 
 NEAR_HOPF = 1e-6
 """Scaled distance of the parameter from a Hopf point within which rounding errors decide whether it turns."""
+
+STEEP_GRAZE = 1e3
+"""Modulus of a multiplier from which on a graze counts as reached from the side of the impacts."""
 
 FREE_PHASE_REACH = 0.05
 """Scaled distance in the parameter and the period within which a branch without a section joins another one."""
@@ -79,6 +83,9 @@ class FamilyContinuation(Tracing):
                 segments.append(Segment(number, 0, sign, begin, home=begin))
         segments = self.trace(segments)
         self._end_at_doublings(segments)
+        for branch in {(segment.family, segment.branch) for segment in segments}:
+            own = [segment for segment in segments if (segment.family, segment.branch) == branch]
+            _refine_grazes(self._problem, own)
         return drop_duplicates(segments, self._problem)
 
     def stop(self, segments: list[Segment]) -> Stop:
@@ -260,6 +267,33 @@ class FamilyContinuation(Tracing):
                         more["home"] = begin
                     crossing.append(Segment(segment.family, branch, sign, begin, **more))
         return crossing
+
+
+def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
+    """Move grazes of one branch that were reached from the side with more events to their limits.
+
+    Other changes of events up to the limit are the same graze: short of it, its events are too near to be told apart.
+    """
+    for segment in segments:
+        for mark in [mark for mark in segment.marks if mark.kind == "grazing" and not mark.event]:
+            if spectral_radius(mark.orbit.product)[0] < STEEP_GRAZE:
+                continue
+            before = segment.points.of(slice(0, mark.place + 1))
+            limit = extrapolated_graze(problem, Points.join([before, mark.orbit]))
+            if limit is None:
+                continue
+            reach = SAME_POINT + abs(limit[0, -1] - mark.orbit.u[0, -1])
+
+            def is_same(other: Mark, mark: Mark = mark, limit: np.ndarray = limit, reach: float = reach) -> bool:
+                if other is mark or other.kind not in ("grazing", "stick") or other.orbit.u.shape != limit.shape:
+                    return False
+                off = np.abs(other.orbit.u - limit)[0]
+                return bool(off[-1] <= reach and off.max() < POINT_SPACING)
+
+            for each in segments:
+                each.marks = [m for m in each.marks if not is_same(m)]
+            place = next(k for k, m in enumerate(segment.marks) if m is mark)
+            segment.marks[place] = mark._replace(orbit=mark.orbit._replace(u=limit, margin=np.zeros(1)))
 
 
 def _end_at_hopf(segment: Segment, hopf: Points, note: str) -> None:

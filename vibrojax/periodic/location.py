@@ -18,7 +18,7 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.arclength import SHORTEST_STEP, Branches
 from vibrojax.periodic.brackets import ACCEPTED_WITHIN, EVENT_CHANGE, Brackets, TestFunction, shrink_brackets
 from vibrojax.periodic.newton import multipliers
-from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns, towards
+from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns, solve_bordered, towards
 from vibrojax.periodic.return_map import across_impacts
 
 MAX_EVENT_CHANGES = 8
@@ -195,6 +195,60 @@ AT_STOP = 1e-5
 
 SAME_PERIOD = 1e-4
 """Largest relative difference of the period between two descriptions of one motion with different crossings."""
+
+
+NODES, NODE_RATIO = 1e-3 * 2.0 ** np.arange(6), 2.0
+"""Margins from which a graze is extrapolated (at much smaller ones, events are too near to be told apart), and least
+ratio of the margins of two points."""
+
+NODE_POLISHES = 2
+"""Newton steps after convergence, which is judged relative to the multipliers."""
+
+EXTRAPOLATED_WITHIN = 1e-7
+"""Largest scaled difference between extrapolations of a graze by polynomials of successive degrees."""
+
+
+def extrapolated_graze(problem: Problem, points: Points) -> Unknowns | None:
+    """Return the unknowns (1, unknowns) at the graze to which a branch leads from the side with more events, or None.
+
+    The map has a square root there, and multipliers grow without limit, so that the branch stalls short of the graze.
+    In the velocity of the grazing impact, to which the margin is proportional, the branch is smooth (Nordmark, *Journal
+    of Sound and Vibration* 145 (1991), 279). A polynomial through orbits with small margins leads to the margin zero.
+    `points`: of one branch, the last one next to the graze.
+    """
+    same = (points.signature == points.signature[-1]).all(axis=1)
+    known: list[int] = []
+    for k in range(len(same) - 1, np.flatnonzero(~same).max(initial=-1), -1):
+        if points.margin[k] >= (NODE_RATIO * points.margin[known[-1]] if known else NODES[0] / 2):
+            known.append(k)
+    known = known[: len(NODES)]
+    if len(known) < 2:
+        return None
+    guess = np.concatenate([_neville(points.margin[known], points.u[known], m)[-1] for m in NODES])
+    family, row = np.repeat(points.family[:1], len(guess)), np.repeat(guess[-1:] - guess[:1], len(guess), axis=0)
+    row /= np.linalg.norm(row, axis=1, keepdims=True)
+    level = np.einsum("ij,ij->i", row, guess)
+    nodes, converged = problem.correct(family, guess, row, level)
+    for _ in range(NODE_POLISHES):
+        short = np.einsum("ij,ij->i", row, nodes.u) - level
+        step = solve_bordered(nodes.matrix, row, -np.column_stack([nodes.off, short]))
+        nodes = problem.evaluate(family, nodes.u + np.nan_to_num(step))
+    nodes = nodes.of(converged & (nodes.signature == points.signature[-1]).all(axis=1))
+    if len(nodes.u) < 3 or not (np.diff(nodes.margin) > 0).all():
+        return None
+    before, limit = _neville(nodes.margin, nodes.u, 0.0)[-2:]
+    error = np.abs(limit - before).max()
+    return limit if error < min(EXTRAPOLATED_WITHIN, np.abs(limit - points.u[-1]).max()) else None
+
+
+def _neville(x: PerLane, y: Unknowns, at: float) -> list[np.ndarray]:
+    """Return the values (1, columns) at one place of the polynomials through the first 1, 2, ... points."""
+    rows, values = y, [y[:1]]
+    for degree in range(1, len(x)):
+        low, high = (x[:-degree] - at)[:, None], (x[degree:] - at)[:, None]
+        rows = (high * rows[:-1] - low * rows[1:]) / (high - low)
+        values.append(rows[:1])
+    return values
 
 
 def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Brackets]:

@@ -51,6 +51,10 @@ SAME_STATE = 1e-6
 SAME_ORBIT = 1e-4
 """Scaled distance below which two orbits are the same; Newton's method finds orbits to 1e-10."""
 
+SAME_BRANCH = 5e-3
+"""Largest scaled difference between a step along a branch and the trapezoidal rule, with the slopes at both ends. It is
+of third order in the step. A larger one shows that the step has led to another branch, or that it is too long."""
+
 STEP_ALLOWANCE = 8
 """Step limit between two crossings of motions close to orbits, as a multiple of the steps that the orbits take."""
 
@@ -215,6 +219,11 @@ class Orbits:
         return np.asarray((self.residual <= ACCEPTED) & np.isfinite(self.moved))
 
     @property
+    def determinant(self) -> PerOrbit:
+        """Determinant of I - A, where A is the derivative of the map over one period; zero where branches meet."""
+        return np.linalg.det(np.eye(self.product.shape[1]) - self.product)
+
+    @property
     def stable(self) -> Mask:
         """Mask of the orbits whose multipliers have moduli below 1."""
         return np.abs(self.multipliers[:, 0]) < 1
@@ -278,7 +287,7 @@ class Orbits:
         first: float = 1.0,
         cautious: float = 0.0,
         by: Sequence[str] = (),
-        slopes: Float[np.ndarray, "orbits cycles states by"] | None = None,
+        slopes: OrbitFeatures | None = None,
         accept: "Callable[[Orbits], Mask]" = lambda orbits: orbits.converged,
         scales: Scales | None = None,
         go: Segments | None = None,
@@ -291,22 +300,24 @@ class Orbits:
         continued from its other side. Orbits that do not arrive are returned at the last point at which they were
         accepted.
 
+        With `by`, a step must agree with the slopes at both of its ends (see `_same_branch`), so that it does not lead
+        to another branch, however near this is.
+
         **Arguments:**
 
         - `within`: scaled distance from the prediction beyond which an orbit counts as another one.
         - `first`, `least`: first and least step, as fractions of the way.
         - `cautious`: step below which a step is doubled only after two accepted orbits, since the branch probably ends.
-        - `by`, `slopes`: parameters that vary, and derivatives of the states with respect to them. Without `by`,
-          predictions use the last step.
+        - `by`, `slopes`: parameters that vary, and the derivatives of these orbits with respect to them. Without `by`,
+          predictions use the last step, and a step may lead to another branch.
         - `accept`: mask of the orbits that count as a continuation, of orbits that have converged.
         - `scales`: unit of distances from predictions; by default the half swings, as in `find`.
         """
         here = self.of(np.arange(len(self)))
-        rate = np.zeros_like(self.states)
+        rate, trend = np.zeros_like(self.states), np.zeros(len(self))
         if by:
             way = np.stack([parameters[name] - self.parameters[name] for name in by], axis=1)
-            slopes = self.derivatives((), by).state_derivatives if slopes is None else slopes
-            rate = np.einsum("lksj,lj->lks", slopes, way)
+            rate, trend = (self.derivatives((), by) if slopes is None else slopes).along(way)
         done, step, halved = np.zeros(len(self)), np.full(len(self), first), np.zeros(len(self), bool)
         active = np.arange(len(self))
 
@@ -329,10 +340,13 @@ class Orbits:
                 good[failed] = jumps[failed] = sound
                 _assign(orbit, failed[sound], beyond.of(sound))
             if by:
-                onward = np.flatnonzero(good & (share < 1))
-                slopes = orbit.of(onward).derivatives((), by).state_derivatives
-                good[onward] = sound = np.isfinite(slopes).all(axis=(1, 2, 3))
-                rate[active[onward[sound]]] = np.einsum("lksj,lj->lks", slopes, way[active[onward]])[sound]
+                new = np.flatnonzero(good)
+                lanes, ahead, h = active[new], orbit.of(new), advance[new]
+                rates, trends = ahead.derivatives((), by).along(way[lanes])
+                before = rate[lanes] * h[:, None, None], trend[lanes] * h
+                after = rates * h[:, None, None], trends * h
+                good[new] = same = _same_branch(here.of(lanes), before, ahead, after, jumps[new])
+                rate[lanes[same]], trend[lanes[same]] = rates[same], trends[same]
             accepted, rejected = active[good], active[~good]
             if not by:
                 moved = np.where(jumps[:, None, None], 0.0, orbit.states - here.states[active])
@@ -357,6 +371,7 @@ class Orbits:
             derivatives=np.full((count, len(of), len(by)), np.nan),
             reason=np.full((count, len(of)), NO_ORBIT),
             state_derivatives=np.full((count, cycles, rows, len(by)), np.nan),
+            determinant_derivatives=np.full((count, len(by)), np.nan),
         )
         if len(index):
             own = {name: np.asarray(x, float)[index] for name, x in self.parameters.items()}
@@ -421,6 +436,30 @@ def _assign(whole: Any, index: Index, part: Any) -> None:
     """Overwrite some entries of all arrays of `whole` by those of `part`."""
     for before, after in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
         before[index] = after
+
+
+def _same_branch(
+    old: Orbits, before: tuple[States, PerOrbit], new: Orbits, after: tuple[States, PerOrbit], jumps: Mask
+) -> Mask:
+    """Return which steps from `old` to `new` orbits stay on their branch; NaN slopes are refused.
+
+    States must follow the trapezoidal rule, within `SAME_BRANCH`. Next to a point at which branches meet, they differ
+    by less than that. There d = det(I - A) tells them apart. It varies linearly on the branches that cross at d = 0,
+    with another slope on each, so the tangents at both ends must predict the other end's d to within its size. At a
+    pitchfork, a step from one branch to another is off by at least 3/2 of the greater |d|, at a transcritical point by
+    twice that; at a fold, |d| is a square root, whose slope is infinite. Where an event begins or vanishes d may jump,
+    and the branch goes on if its sign is the same (Feigin's condition; di Bernardo et al., *Piecewise-smooth Dynamical
+    Systems*, section 3.1).
+
+    **Arguments:** `before`, `after`: slopes of states and of d at both ends, times the step; `jumps`: mask of steps in
+    which an impact passes the section, so that states jump.
+    """
+    (rate, trend), (rates, trends) = before, after
+    off = np.abs(new.states - old.states - (rate + rates) / 2) / old.scales[:, None]
+    d, ends = old.determinant, new.determinant
+    size = np.maximum(np.abs(d), np.abs(ends))
+    smooth = (np.abs(ends - d - trend) <= size) & (np.abs(ends - d - trends) <= size)
+    return np.asarray(smooth & ((off.max(axis=(1, 2)) <= SAME_BRANCH) | jumps & np.isfinite(rates).all(axis=(1, 2))))
 
 
 def _residual(states: States, images: Any, scales: Scales) -> PerOrbit:

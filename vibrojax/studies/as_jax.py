@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.lanes.inputs import Features
 from vibrojax.maps.read import Point
-from vibrojax.periodic.derivatives import MARGIN, STABILITY, orbit_variables
+from vibrojax.periodic.derivatives import MARGIN, STABILITY, OrbitFeatures, orbit_variables
 from vibrojax.periodic.lane_stages import run_lanes
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.arrays import Array, check_untraced
@@ -27,7 +27,7 @@ from vibrojax.studies.sensitivity import read_names, read_orbit_point, sweep_at
 MAX_CACHED = 1024
 """Largest number of results that are kept for points that are evaluated again."""
 
-SAME_BRANCH = 0.05
+CORRECTOR_REACH = 0.05
 """Largest distance, in half swings, between an orbit and its linear prediction. Otherwise the step is halved."""
 
 CAUTIOUS_FRACTION, LEAST_FRACTION = 1 / 64, 1e-7
@@ -57,9 +57,8 @@ class Branch:
     """Orbits of one scene with the same numbers of section crossings and impacts, as functions of the parameters `by`.
 
     The first orbit is the one on which the motion from `start` settles at the point `at`, by default the first point
-    that is evaluated. It is continued to each other point on the straight line, whatever was evaluated before: the
-    states are predicted linearly, and corrected by Newton's method. An orbit is accepted if it is close to the
-    prediction; otherwise the continuation takes smaller steps.
+    that is evaluated. It is continued to each other point on the straight line, whatever was evaluated before: see
+    [vibrojax.periodic.orbits.Orbits.carry_to][].
     """
 
     def __init__(
@@ -70,7 +69,7 @@ class Branch:
         self._table = point.system.parameters()
         self._scale = np.array([abs(point.parameters[name]) or 1.0 for name in by])
         self._first: Orbits | None = None
-        self._slopes = np.zeros(0)
+        self._slopes: OrbitFeatures | None = None
         self._begun = False
         self._cached: dict[bytes, Evaluated] = {}
         self._lock = Lock()
@@ -138,16 +137,16 @@ class Branch:
             self.at = x[0].copy() if self.at is None else self.at
             self._begin(self.at)
             self._begun = True
-        if self._first is None:
+        if self._first is None or self._slopes is None:
             return self.unknown(len(x))
         first, each = self._first, np.zeros(len(x), int)
         orbits, _ = first.of(each).carry_to(
             self._parameters(x),
-            within=SAME_BRANCH,
+            within=CORRECTOR_REACH,
             least=LEAST_FRACTION,
             cautious=CAUTIOUS_FRACTION,
             by=self.by,
-            slopes=self._slopes[each],
+            slopes=OrbitFeatures(*(x[each] for x in self._slopes)),
             accept=lambda orbits: (
                 (orbits.impacts == first.impacts) & ~orbits.neutral & self._admits(self._reached(orbits))
             ),
@@ -197,8 +196,8 @@ class Branch:
             }
             for lane in sorted(known, key=lambda lane: (distance[lane], lane)):
                 orbit = Orbits.find(scene, known[lane].parameters, known[lane].states).refined()
-                slopes = orbit.derivatives((), self.by).state_derivatives
-                if np.isfinite(slopes).all():
+                slopes = orbit.derivatives((), self.by)
+                if np.isfinite(slopes.state_derivatives).all():
                     self._first, self._slopes = orbit, slopes
                     return
 

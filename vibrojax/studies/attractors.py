@@ -111,7 +111,8 @@ def attractors(
 
     - Over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its binomial
       standard error `share_stderr`, an upper bound for Sobol samples. `regime` is the most frequent regime of the
-      attractor's lanes, `cycles` the period of its orbit in returns (0 without an orbit). `period`, `impacts` and
+      attractor's lanes, `cycles` the period of its orbit in returns (0 without an orbit). Where the attractor does not
+      exist, `share` is 0, and so are `regime` and `cycles`, as all undefined integers. `period`, `impacts` and
       `impact_velocity` are medians over the lanes, from the longer observation if they are irregular. `impact_power`,
       `stick_slip_index` and `specific_energy` are medians from the sweep's observation; `blow_frequency` follows from
       `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the section.

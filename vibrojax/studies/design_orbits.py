@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from vibrojax.io.variables import ORBIT_REASONS
 from vibrojax.lazy import optimize
-from vibrojax.periodic.derivatives import MODULUS, orbit_variables
+from vibrojax.periodic.derivatives import MODULUS, OrbitFeatures, orbit_variables
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.studies.design_requirements import Assessment, DesignSpec, Unit
 
@@ -21,7 +21,7 @@ INSIDE = 1e-6
 """Slack that SLSQP keeps, which covers its own tolerance."""
 
 ORBIT_REACH = 1.0
-"""Distance in half swings from the prediction beyond which an orbit counts as another one."""
+"""Distance in half swings from the prediction beyond which no orbit is searched."""
 
 SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
 """Iterations of SLSQP in a box around the best point so far, and boxes: the next begins at the best point of all."""
@@ -41,8 +41,8 @@ class LostOrbit(Exception):
 class Visit:
     """Orbits over the box of a point: rows of objectives, limits and stability, and their slopes.
 
-    `orbits` has one batch of samples for each motion, `orbit_slopes` the derivatives of their states with respect to
-    the parameters `by`.
+    `orbits` has one batch of samples for each motion, `orbit_slopes` their derivatives with respect to the parameters
+    `by`.
     """
 
     unit: Unit
@@ -50,7 +50,7 @@ class Visit:
     slopes: Float[np.ndarray, "rows varied"]
     orbits: list[Orbits]
     by: tuple[str, ...]
-    orbit_slopes: list[np.ndarray]
+    orbit_slopes: list[OrbitFeatures]
 
     def rank(self, objectives: int) -> tuple[float, float]:
         """Return the key of the order from worst to best: smaller violations, then a greater least objective."""
@@ -114,7 +114,7 @@ class BoxOrbits:
             values, gradients = features.values, features.derivatives @ jacobian
             if not (np.isfinite(values).all() and np.isfinite(gradients).all() and np.ptp(batch.impacts) == 0):
                 return None
-            orbit_slopes.append(features.state_derivatives)
+            orbit_slopes.append(features)
             table = dict(zip(spec.names, zip(values.T, gradients.transpose(1, 0, 2), strict=True), strict=False))
             value, slope = table[spec.maximise]
             counted = slice(None) if spec.robust else slice(1)

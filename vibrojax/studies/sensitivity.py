@@ -72,7 +72,7 @@ def at_orbits(
             for part in np.split(np.arange(len(batch)), range(LANES_PER_CALL, len(batch), LANES_PER_CALL)):
                 orbit, lane = batch.of(part), batch.lane[part]
                 orbit = Orbits.find(scene, orbit.parameters, orbit.states, within=OWN_ORBIT).refined()
-                features[lane], slopes[lane], reason[lane], _ = orbit.derivatives(of, by)
+                features[lane], slopes[lane], reason[lane], *_ = orbit.derivatives(of, by)
                 report.add(len(part))
     # The reason of a lane is the first in order.
     none = (reason == 0) | ((reason == DERIVATIVE_REASONS.index("undefined")) & (not variables))
