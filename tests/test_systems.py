@@ -167,6 +167,21 @@ def test_start_beyond_stop_fails_with_reason():
     assert names_of(bounces, "reason") == ["none", "restitution-not-0-to-1"] and names_of(bounces)[1] == "failed"
 
 
+def test_mass_that_is_not_positive_fails_with_reason():
+    block = vj.System(
+        "block",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"m": 1.0},
+        field=lambda t, y, p: {"x": y["v"], "v": (vj.elementary.cos(t) - y["x"]) / p["m"]},
+        period=2 * np.pi,
+        events=[vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: 1.0, 0.3, "v", mass=lambda p: p["m"])],
+    )
+    ds = vj.run_sweep({"scene": block, "grid": {"m": [1.0, -1.0]}, "run": {"settle": 1.0}}, progress=False)
+    assert names_of(ds, "reason") == ["none", "mass-not-above-zero"] and names_of(ds)[1] == "failed"
+    with pytest.raises(vj.InputError, match=r"the mass of base is -1; it must be above 0"):
+        vj.simulate(block, m=-1.0, progress=False)
+
+
 def test_invalid_start_gives_one_line():
     with pytest.raises(vj.InputError, match=r"start: \[1.5, 0.0\]: the gap of stop_hit is -0.5; it must not be neg"):
         vj.simulate(IMPACT_OSCILLATOR, start=[1.5, 0.0], progress=False)

@@ -95,6 +95,7 @@ REASONS = (
     "negative-normal-force",
     "slides-on-two-switches",
     "negative-friction-at-rest",
+    "mass-not-above-zero",
 )
 """Meaning of each flag of `reason`."""
 

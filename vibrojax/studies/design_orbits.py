@@ -23,6 +23,9 @@ INSIDE = 1e-6
 ORBIT_REACH = 1.0
 """Distance in half swings from the prediction beyond which no orbit is searched."""
 
+LEAST_STEP = 1 / 16
+"""Smallest step to another point, as a fraction of the way: beyond it, SLSQP tries a nearer point."""
+
 SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
 """Iterations of SLSQP in a box around the best point so far, and boxes: the next begins at the best point of all."""
 
@@ -93,7 +96,7 @@ class BoxOrbits:
             return near
         parameters, _ = self.spec.parameters(np.repeat(unit[None], len(self.box), axis=0), self.box)
         carried = [
-            orbits.carry_to(parameters, within=ORBIT_REACH, least=1.0, by=near.by, slopes=slopes)
+            orbits.carry_to(parameters, within=ORBIT_REACH, least=LEAST_STEP, by=near.by, slopes=slopes)
             for orbits, slopes in zip(near.orbits, near.orbit_slopes, strict=True)
         ]
         arrived = all(arrived.all() for _, arrived in carried)

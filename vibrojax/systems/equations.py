@@ -289,13 +289,14 @@ class SystemEquations(Scene[SystemConstants]):
         return bool(self._at_section)
 
     def start(self, c: SystemConstants, name: Start, shape: tuple[int, ...]) -> Values:
-        """Return the initial state, NaN for a start beyond a stop or a restitution outside 0 to 1."""
+        """Return the initial state, NaN for a start beyond a stop, a restitution outside 0 to 1, or a mass up to 0."""
         given = (0.0,) * len(self._own) if name is None or isinstance(name, str) else name
         y = {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in zip(self._own, given, strict=True)}
         y |= {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in self._discrete.items()}
         zero = jnp.zeros(shape, c.rates[0].dtype)
         state = self._with_known((zero,) * len(self.states), y)
         fails = [(gap < 0) | (r < 0) | (r > 1) for _, gap, r in self._stops(c.p, zero, y)]
+        fails += [event.inertia(c.p) + zero <= 0 for _, event in self._flow.of(Friction) if callable(event.mass)]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
     def has_no_field(self, c: SystemConstants, mode: Values, state: Values) -> Any:
@@ -314,7 +315,7 @@ class SystemEquations(Scene[SystemConstants]):
 
     @np.errstate(all="ignore")
     def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
-        """Return stops that are passed at the start, restitutions outside 0 to 1, and rates that are not finite."""
+        """Return stops that are passed at the start, and restitutions, forces, masses and rates that cannot be."""
         p = {name: Plain.of(x) for name, x in p.items()}
         y = {name: Plain.of(x) for name, x in zip(self._own, state, strict=True)}
         t = 0.0 * next(iter(y.values()))
@@ -331,6 +332,9 @@ class SystemEquations(Scene[SystemConstants]):
             text = f"the normal force of {event.name} is {_first(force):.6g} at the start; it must not be negative"
             mask = (force < 0) & (not event.lift_off)
             faults.append(("negative-normal-force", text, mask))
+            mass = event.inertia(p) + t
+            text = f"the mass of {event.name} is {_first(mass):.6g}; it must be above 0"
+            faults.append(("mass-not-above-zero", text, mass <= 0))
         for name, rate in self._flow.function.function(t, y, p, *([sides] if self._flow.takes_sides else [])).items():
             rate = rate + t
             text = f"the field, {name}, is {_first(rate):g} at the start; it must be finite"

@@ -151,6 +151,10 @@ class Friction:
         """Parameters of the friction law."""
         return self.law.parameters if isinstance(self.law, FrictionLaw) else {}
 
+    def inertia(self, p: Mapping[str, Any]) -> Any:
+        """Return the mass [kg]."""
+        return self.mass(p) if callable(self.mass) else self.mass
+
     def coefficient(self, speed: Any, p: Mapping[str, Any]) -> Any:
         """Return the friction coefficient at a sliding speed (at least 0) [1]."""
         if isinstance(self.law, FrictionLaw):
@@ -173,8 +177,7 @@ class Friction:
 
         `slip`: sgn u or 0; `s`: the sides of the switches by name.
         """
-        mass = self.mass(p) if callable(self.mass) else self.mass
-        load = positive_part(self.force(t, y, p, s)) * (1.0 / jnp.asarray(mass))
+        load = positive_part(self.force(t, y, p, s)) * (1.0 / jnp.asarray(self.inertia(p)))
         static = self.static(p) if callable(self.static) else self.static
         static = self.coefficient(jnp.zeros(()), p) if static is None else static
         return self.coefficient(slip * self.relative(t, y, p), p) * load, static * load

@@ -218,7 +218,7 @@ class Probe:
                 what = f"event {event.name}: normal"
                 self._number(what, self._call(what, event.force, self._t, self._y, self._p, self._sides))
                 what = f"event {event.name}: mass"
-                mass = self._number(what, self._call(what, event.mass, self._p) if callable(event.mass) else event.mass)
+                mass = self._number(what, self._call(what, event.inertia, self._p))
                 if not bool((mass > 0).all()):
                     raise self._refuse(f"{what} is {float(mass[0]):g}; it must be above zero")
             if isinstance(event, Impact) and event.reset is not None:
