@@ -62,12 +62,12 @@ IMPACT_OSCILLATOR = vj.System(
 WALLS = vj.System(
     "walls",
     states={"x": "m", "v": "m s-1"},
-    parameters={"d": 0.32},
+    parameters={"d": 0.32, "r": 0.7},
     field=lambda t, y, p: {"x": y["v"], "v": cos(0.9 * t) - 0.06 * y["v"] - y["x"]},
     period=lambda p: 2 * np.pi / 0.9,
     events=[
-        vj.Impact("right", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: 0.7),
-        vj.Impact("left", gap=lambda t, y, p: p["d"] + y["x"], velocity="v", restitution=lambda p: 0.7),
+        vj.Impact("right", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
+        vj.Impact("left", gap=lambda t, y, p: p["d"] + y["x"], velocity="v", restitution=lambda p: p["r"]),
     ],
 )
 """The same mass between two walls: symmetric orbits, and pairs of asymmetric ones."""

@@ -326,20 +326,28 @@ def cross_impact(problem: Problem, last: Points) -> Points | None:
     if no state at the section is at an impact. `last`: last point of one branch.
     """
     lane, sign, rows = last.family, np.sign(last.tangent[:, -1]), problem.rows
-    states, parameters = problem.states(lane, last.u)[0], problem.parameters_at(lane, last.u)
-    for cycle, state in enumerate(states):
-        for [gap], [other] in across_impacts(problem.scene, parameters, state[None]):
-            if abs(gap) > AT_STOP or not np.isfinite(other).all():
+
+    def sides(u: Unknowns, cycle: int) -> list[tuple[PerLane, np.ndarray]]:
+        return across_impacts(problem.scene, problem.parameters_at(lane, u), problem.states(lane, u)[0][[cycle]])
+
+    cycles = last.times.shape[1]
+    at_stop = [
+        (k, stop) for k in range(cycles) for stop, (gap, _) in enumerate(sides(last.u, k)) if abs(gap) <= AT_STOP
+    ]
+    for cycle, stop in at_stop:
+        mine, previous = (slice(k * rows, (k + 1) * rows) for k in (cycle, (cycle - 1) % cycles))
+        for distance in REINDEX_DISTANCES:
+            guess = last.u + distance * last.tangent
+            # The continued state penetrates the stop. Across the impact, it is as far before it as the motion is.
+            [other] = sides(guess, cycle)[stop][1]
+            if not np.isfinite(other).all():
                 continue
-            mine, previous = (slice(k * rows, (k + 1) * rows) for k in (cycle, (cycle - 1) % len(states)))
-            for distance in REINDEX_DISTANCES:
-                guess = last.u + distance * last.tangent
-                guess[0, mine] = other / problem.scales[lane[0]]
-                if len(states) > 1:
-                    guess[0, mine] += problem.evaluate(lane, guess).off[0, previous]
-                now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
-                if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
-                    return now.along(towards(guess, sign))
+            guess[0, mine] = other / problem.scales[lane[0]]
+            if cycles > 1:
+                guess[0, mine] += problem.evaluate(lane, guess).off[0, previous]
+            now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
+            if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
+                return now.along(towards(guess, sign))
     return None
 
 
