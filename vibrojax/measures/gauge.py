@@ -99,7 +99,7 @@ class Gauge(ABC, Generic[K]):
         return {}
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
-        """Return replacements, by name, for `sums` over a return interval of duration `interval` [s]."""
+        """Return the values, by name, that replace the `sums` between two returns, `interval` [s] apart."""
         return {}
 
     def begin(self, scene: K, c: Any, lane: Lane) -> Any:

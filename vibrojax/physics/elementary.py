@@ -90,7 +90,7 @@ def maximum(x: Any, y: Any) -> Any:
     """Return the greater of two values.
 
     In a `vj.System`, the step ends where the other argument becomes greater. Elsewhere, pass a Taylor series as the
-    first argument; the result is then the argument that is greater at the start of the step, for the whole step.
+    first argument; for the whole step, the result is then the argument that is greater at its start.
     """
     active = BRANCHES.get()
     return greater(x, y) if active is None else active.maximum(x, y)

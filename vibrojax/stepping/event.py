@@ -26,7 +26,7 @@ class Small(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """The functions whose zeros may end a step in one mode: the guards of the scene and, if `marked`, its markers.
+    """The functions whose zeros may end a step in one mode: the scene's guards, and its markers if `marked` is true.
 
     If the stepper `smooths` dry friction, the guard of friction is never reached.
     """

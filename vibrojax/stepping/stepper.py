@@ -44,7 +44,7 @@ class Step(NamedTuple):
     """A step, the input of measures.
 
     - `before`, `mode`: state and mode at the start of the step; `after`: state at the start of the next step.
-    - `polynomials`: `polynomials[i][k]` is the coefficient of tau^k of state i; tau = time/h runs from 0 to `tau`.
+    - `polynomials`: `polynomials[i][k]` is the coefficient of s^k of state i; s = time/h runs from 0 to `tau`.
     - `h` [s]: unit of tau; `dt` [s]: duration of the step, 0 if no step was taken.
     - `hits`: for each guard and marker, by name, a mask of the lanes whose step ended on it.
     - `falling`: for each marker, a mask of the lanes in which it crosses zero downwards.

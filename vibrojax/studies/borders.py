@@ -68,7 +68,7 @@ def borders(
 
     **Returns:** a dataset.
 
-    - Along `vertex`, ordered along each curve: the two parameters, and `curve`, the number of the vertex's curve.
+    - Along `vertex`, in order on each curve: both parameters, and `curve`, the number of the curve it is on.
     - Along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and the values
       of the sweep's other axes. The kinds are fold, period-doubling, torus, grazing, stick, section, hopf, end, basin
       and not-settled. Beyond a *basin* border the orbit exists, but the initial condition no longer leads to it; beyond

@@ -38,7 +38,7 @@ class Impact:
       may then have both signs, and nothing happens in the other direction.
 
     A bounce whose speed is at most 2.4e-7 of a typical speed ends in rest on the stop if the field pushes against the
-    stop. The rest lasts until the field pulls away.
+    stop. The body stays at rest until the field points away from the stop.
 
     **Example:**
 
