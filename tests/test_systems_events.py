@@ -422,7 +422,6 @@ def test_floor_of_a_state_is_refused():
         )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("section", "message"),
     [

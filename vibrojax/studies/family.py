@@ -91,11 +91,11 @@ def follow(
     - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, branch-point, end,
       or the name of a system's switch), `special_value` (of the parameter), `special_branch`, and `special_note`.
 
-    At a *grazing* point, an event appears or vanishes: an impact, or another event except the begin or end of a stick
-    phase. For events other than impacts, the note names the mode that changes. Multipliers at a special point are those
-    on the side from which the point was reached, or, if orbits exist only on the side without the impact, those on that
-    side. Next to a grazing impact, multipliers hold for very small perturbations only. A branch that connects two
-    period doublings is listed once.
+    At a *grazing* point, an event appears or vanishes: an impact, or another event except the beginning or end of a
+    stick phase. For events other than impacts, the note names the mode that changes. Multipliers at a special point are
+    those on the side from which the point was reached. If orbits exist only on the side without the impact, they are
+    those on that side. Next to a grazing impact, multipliers hold for very small perturbations only. A branch that
+    connects two period doublings is listed once.
 
     Families of autonomous systems without events do not depend on the section: they are solved over parts of the period
     (multiple shooting), with a phase condition that is updated along the family. The mirror image of an orbit is listed

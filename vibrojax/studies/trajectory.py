@@ -30,7 +30,8 @@ from vibrojax.maps.read import Point, read_point
 from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.physics.parameters import differing
 from vibrojax.pictures.axes import pretty_unit, scale
-from vibrojax.pictures.motion import pulses, response, states_over_time, trajectory
+from vibrojax.pictures.hole import pulses, response
+from vibrojax.pictures.motion import states_over_time, trajectory
 from vibrojax.progress import LOG, Progress
 from vibrojax.scenes import HasFriction, HasRock, Scene
 from vibrojax.settings.code_identity import code_identity
