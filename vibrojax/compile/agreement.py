@@ -185,11 +185,10 @@ def wrong_functions(evaluate: Evaluate, functions: Functions, dtype: np.dtype, l
     arguments = (x, np.abs(x[::-1]))
     counts = {function.__name__: len(signature(function).parameters) for function in functions}
 
-    def evaluate_all(*arrays: Float[jax.Array, " lanes"]) -> dict[str, jax.Array]:
+    def evaluate_all(*arrays: "Float[jax.Array, ' lanes']") -> "dict[str, jax.Array]":
         return {function.__name__: function(*arrays[: counts[function.__name__]]) for function in functions}
 
-    with jax.debug_nans(False):  # functions that are undefined for negative numbers return NaN there
-        values = evaluate(evaluate_all, *arguments)
+    values = evaluate(evaluate_all, *arguments)  # NaN where functions are undefined for negative numbers
     wrong = []
     for name, count in counts.items():
         with np.errstate(all="ignore"):

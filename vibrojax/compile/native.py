@@ -26,6 +26,8 @@ from vibrojax.compile.assembly import LANES, Untranslatable, dtype_of, refuse_if
 from vibrojax.compile.foreign import needs_comparison
 from vibrojax.compile.identity import digest
 from vibrojax.compile.translation import KernelText, kernel_text
+from vibrojax.compile.trees import flatten, unflatten
+from vibrojax.compile.xla import float_type, jax_precision
 from vibrojax.lazy import jax, jnp
 
 PASSES = ("sroa", "aggressive_dce")
@@ -178,7 +180,7 @@ class Kernel:
 
     def _load(self, description: Description, code: bytes) -> None:
         self.description, self.key = description, description.key
-        self._tree = jax.tree.structure(description.tree)
+        _, self._tree = flatten(description.tree)
         builder = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("lanes").add_current_process()
         self._library = builder.link(_jit(), f"kernel {next(_number)}")  # keeps the code in memory
         kinds = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
@@ -190,7 +192,7 @@ class Kernel:
 
     def bind(self, *arguments: Any) -> "BoundKernel":
         """Return the kernel bound to arguments, to compute some lanes at a time."""
-        return self.bind_leaves(jax.tree.leaves(arguments))
+        return self.bind_leaves(flatten(arguments)[0])
 
     def bind_leaves(self, leaves: list[Any]) -> "BoundKernel":
         """Return the kernel bound to the leaves of arguments; see `bind`."""
@@ -209,7 +211,7 @@ class Kernel:
             np.empty((*kind.shape, lanes) if kind.varies else kind.shape, kind.dtype)
             for kind in self.description.results
         ]
-        return BoundKernel(self, lanes, [*arrays, *results], jax.tree.unflatten(self._tree, results))
+        return BoundKernel(self, lanes, [*arrays, *results], unflatten(self._tree, results))
 
 
 class BoundKernel:
@@ -317,18 +319,18 @@ def kernel_for(
     function: Callable[..., Any], static: tuple[Hashable, ...], *examples: Any, registers: int = 1
 ) -> Kernel:
     """Return the kernel of `function(*static, *arguments)`, which is compiled at the first call; see `Kernel`."""
-    leaves, tree = jax.tree.flatten(examples)
-    key = (function, static, jnp.result_type(float), vector_bytes(), tree, *types_of(leaves))
+    leaves, tree = flatten(examples)
+    key = (function, static, float_type(), vector_bytes(), tree, *types_of(leaves))
     with _lock:
         lock = _locks[key]
     with lock:
         if key not in kernels:
-            types = jax.tree.unflatten(tree, [str(kind) for kind in types_of(leaves)])
-            settings = registers, vector_bytes(), jnp.result_type(float).name, _compiler()
+            types = unflatten(tree, [str(kind) for kind in types_of(leaves)])
+            settings = registers, vector_bytes(), float_type().name, _compiler()
             name = digest(function, static, types, settings)
             kernel = None if name is None else Kernel.found(name)
             if kernel is None:
-                with _uncollected():
+                with jax_precision(), _uncollected():
                     kernel = Kernel(lambda *dynamic: function(*static, *dynamic), *examples, registers=registers)
                 if name is not None:
                     kernel.enter(name)

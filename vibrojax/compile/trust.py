@@ -28,8 +28,7 @@ import llvmlite
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import Untranslatable
 from vibrojax.compile.native import Kernel, kernel_for
-from vibrojax.compile.xla import jitted
-from vibrojax.lazy import jax, jnp
+from vibrojax.compile.xla import float_type, jax_precision, jitted
 
 TESTED_VERSIONS = {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
 """Versions with which all tests have passed, oldest first."""
@@ -132,11 +131,12 @@ def _verify(key: str, subject: Subject) -> None:
     owner = subject.owner
     if owner in _refused:
         raise Untranslatable(_refused[owner])
-    precision = jnp.result_type(float).name
+    precision = float_type().name
     compared = owner, subject.variant, precision
     if compared not in _trusted and store.read(_verdict_name(key)) != AGREES:
         try:
-            verdict = _verdict(subject)
+            with jax_precision():
+                verdict = _verdict(subject)
         except Untranslatable as error:  # raised by code that the comparison needs and this kernel does not
             _refused[owner] = str(error)
             raise
@@ -169,7 +169,7 @@ def _verdict(subject: Subject) -> bytes:
 
 def _verdict_name(key: str) -> str:
     """Return the cache key for the outcome of a comparison, given the hash of the compared kernels."""
-    return sha256("\n".join(("agreement 3", key, jax.__version__, version("jaxlib"))).encode()).hexdigest()
+    return sha256("\n".join(("agreement 3", key, version("jax"), version("jaxlib"))).encode()).hexdigest()
 
 
 @cache
@@ -177,7 +177,7 @@ def newer_than_tested() -> bool:
     """Return whether jax or llvmlite is newer than every tested version."""
     return any(
         _version_numbers(installed) > max(map(_version_numbers, TESTED_VERSIONS[package]))
-        for package, installed in (("jax", jax.__version__), ("llvmlite", llvmlite.__version__))
+        for package, installed in (("jax", version("jax")), ("llvmlite", llvmlite.__version__))
     )
 
 

@@ -1,12 +1,14 @@
 """Devices and precision, and functions of lanes compiled by XLA, for accelerators and where no kernel can be made."""
 
 import os
+import sys
 import threading
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from contextvars import ContextVar
 from functools import cache, partial, wraps
-from importlib.metadata import version
+from importlib.metadata import entry_points, version
+from importlib.util import find_spec
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -48,7 +50,8 @@ def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            return program(tuple(compiler_options(jax.default_backend()).items()))(*args, **kwargs)
+            with jax_precision():
+                return program(tuple(compiler_options(jax.default_backend()).items()))(*args, **kwargs)
 
         return call
 
@@ -134,14 +137,31 @@ THREAD_VARIABLES = ("VIBROJAX_THREADS", "SLURM_CPUS_PER_TASK")
 _THREADS: ContextVar[int | None] = ContextVar("threads", default=None)
 
 
-def workers() -> "list[jax.Device]":
-    """Return a list with the jax device of each thread that computes lanes.
+def workers() -> "list[jax.Device | None]":
+    """Return a list with the accelerator of each thread that computes lanes, or None for each thread on the CPU.
 
-    A compiled loop keeps one CPU core busy, so by default there is one thread per core. All threads share the first CPU
-    device and thus one compiled program. On accelerators there is one thread per device.
+    A compiled loop keeps one CPU core busy, so by default there is one thread per core. On accelerators there is one
+    thread per device.
     """
-    devices = jax.local_devices()
-    return devices[:1] * threads() if devices[0].platform == "cpu" else devices
+    devices = jax.local_devices() if "jax" in sys.modules or _may_have_accelerators() else []
+    accelerated = bool(devices) and devices[0].platform != "cpu"
+    return [*devices] if accelerated else [None] * threads()
+
+
+@cache
+def _may_have_accelerators() -> bool:
+    """Return whether jax may find an accelerator. It needs a plugin or settings of the user."""
+    if os.environ.get("JAX_PLATFORMS") == "cpu":
+        return False
+    return (
+        any(os.environ.get(name) for name in _DEVICE_VARIABLES)
+        or any(map(find_spec, ("jax_plugins", "libtpu")))
+        or bool(entry_points(group="jax_plugins"))
+    )
+
+
+_DEVICE_VARIABLES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "PJRT_NAMES_AND_LIBRARY_PATHS", "TPU_LIBRARY_PATH")
+"""Environment variables by which users choose or add devices of jax."""
 
 
 @contextmanager
@@ -180,9 +200,51 @@ def precision(name: str) -> Iterator[None]:
     """
     check_leaks: Any = jax.checking_leaks.func  # `jax.checking_leaks` itself is this setting with the argument True
     settings = jax.disable_jit, jax.debug_nans, jax.debug_infs, check_leaks
-    with ExitStack() as stack:
+    with _floats(name, known_to_jax=True), ExitStack() as stack:
         for setting in settings:
             stack.enter_context(setting(False))
         stack.enter_context(jax.core.eval_context())
         stack.enter_context(jax.enable_x64(name == "float64"))
         yield
+
+
+@contextmanager
+def kernel_precision(name: str) -> Iterator[None]:
+    """Call kernels in "float64" or "float32" in this thread, without importing jax; see `precision`.
+
+    Functions of lanes may be called within this context, but jax's functions may not. What compiles these functions
+    enters `jax_precision` first.
+    """
+    with _floats(name, known_to_jax=False):
+        yield
+
+
+@contextmanager
+def jax_precision() -> Iterator[None]:
+    """Give jax the precision of the innermost `kernel_precision`, if there is one."""
+    with nullcontext() if _current.known_to_jax else precision(_current.name):
+        yield
+
+
+def float_type() -> np.dtype:
+    """Return the type of the floats of this thread's precision, by default that of jax."""
+    return np.dtype(_current.name or jnp.result_type(float))
+
+
+class _Floats(threading.local):
+    """Precision of a thread, by default (empty) that of jax's configuration, and whether jax knows it."""
+
+    name, known_to_jax = "", True
+
+
+_current = _Floats()
+
+
+@contextmanager
+def _floats(name: str, known_to_jax: bool) -> Iterator[None]:
+    before = _current.name, _current.known_to_jax
+    _current.name, _current.known_to_jax = name, known_to_jax
+    try:
+        yield
+    finally:
+        _current.name, _current.known_to_jax = before

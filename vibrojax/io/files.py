@@ -127,6 +127,4 @@ def source() -> str:
 
 def provenance() -> dict[str, str]:
     """Return the attributes that state the origin of a dataset: `source` (name and version) and `jax` (version)."""
-    import jax  # not at the top: reading the package version needs no jax
-
-    return {"source": source(), "jax": jax.__version__}  # the last digits of results depend on jax's compiler
+    return {"source": source(), "jax": version("jax")}  # the last digits of results depend on jax's compiler

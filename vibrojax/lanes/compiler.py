@@ -12,10 +12,11 @@ from vibrojax import compile as compilation
 from vibrojax.compile import native, trusted_kernel
 from vibrojax.compile.agreement import check
 from vibrojax.compile.native import BoundKernel, Kernel, kernel_for
+from vibrojax.compile.trees import flatten
 from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation
 from vibrojax.lanes.agreement import scene_subject
 from vibrojax.lanes.programs import ProgramKey, settle_lanes
-from vibrojax.lazy import jax, jnp
+from vibrojax.lazy import jnp
 from vibrojax.physics import elementary
 
 R = TypeVar("R")
@@ -88,7 +89,7 @@ class Programs:
         Uses the current device and precision, in which calls of a `BoundProgram` must be made as well.
         """
         if self._platform is None:
-            leaves, tree = jax.tree.flatten(arguments)
+            leaves, tree = flatten(arguments)
             key = (program, tree, *native.types_of(leaves))
             kernel = self._kernels.get(key)
             if kernel is None:

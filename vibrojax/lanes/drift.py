@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.compile.trees import map_leaves
 from vibrojax.lanes.inputs import Features, Index, PerLane
-from vibrojax.lazy import jax
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.measures.repeats import GROWTH, INTERVAL, REPEATS_WITHIN, TIME, rock_scale, state_name
 from vibrojax.measures.since_start import half_names, stored_scales
@@ -66,7 +66,7 @@ class Crossings(NamedTuple):
     def of(self, lanes: Index) -> "Crossings":
         if len(lanes) == len(self.lag):
             return self
-        return jax.tree.map(lambda x: np.take(x, lanes, axis=-1), self)
+        return map_leaves(lambda x: np.take(x, lanes, axis=-1), self)
 
     @property
     def highest(self) -> PerLaneInt:

@@ -17,7 +17,8 @@ from jaxtyping import Int
 
 from vibrojax.compile import Untranslatable
 from vibrojax.compile.native import BoundKernel
-from vibrojax.compile.xla import BoundProgram, precision
+from vibrojax.compile.trees import map_leaves
+from vibrojax.compile.xla import BoundProgram, kernel_precision, precision
 from vibrojax.lanes.compiler import Programs
 from vibrojax.lanes.inputs import Features, Index, LaneInputs, Mask, PerLane, Report, unreported
 from vibrojax.lanes.programs import (
@@ -62,7 +63,7 @@ class Batch:
     recent: Int[np.ndarray, " lanes"]
 
     def of(self, lanes: Index) -> "Batch":
-        return Batch(self.accuracy, **jax.tree.map(lambda x: np.take(x, lanes, axis=-1), self._arrays()))
+        return Batch(self.accuracy, **map_leaves(lambda x: np.take(x, lanes, axis=-1), self._arrays()))
 
     def split(self, mask: Mask) -> "tuple[Batch, Batch]":
         """Return the lanes in the mask, and the other lanes."""
@@ -75,7 +76,7 @@ class Batch:
     def joined(self, others: "list[Batch]") -> "Batch":
         """Return one batch of these lanes and the others. `underway` must be set in all batches or in none."""
         parts = [batch._arrays() for batch in (self, *others)]
-        return Batch(self.accuracy, **jax.tree.map(lambda *x: np.concatenate(x, axis=-1), *parts))
+        return Batch(self.accuracy, **map_leaves(lambda *x: np.concatenate(x, axis=-1), *parts))
 
     def _arrays(self) -> dict[str, Any]:
         return {name: x for name, x in vars(self).items() if name != "accuracy"}
@@ -94,7 +95,10 @@ Bound = BoundKernel | BoundProgram
 
 
 class Engine:
-    """Compiled programs of the lanes of one scene, run by all `workers` (one device per thread)."""
+    """Compiled programs of the lanes of one scene, run by all `workers`.
+
+    `workers`: the accelerator of each thread, or None for each thread on the CPU.
+    """
 
     def __init__(
         self,
@@ -103,16 +107,16 @@ class Engine:
         start_names: tuple[str, ...],
         stepper: Stepper,
         recorder: Records,
-        workers: Sequence["jax.Device"],
+        workers: "Sequence[jax.Device | None]",
     ) -> None:
         self.scene, self.run, self.workers = scene, run, workers
-        self.accelerated = workers[0].platform != "cpu"
+        self.accelerated = workers[0] is not None
         self.most_steps = LANE_MAX_STEPS
         self._dtype = np.dtype(run.precision)
         # Programs number the names of the scene, so that lanes with other names need no other program.
         self._starts = np.array([*map(scene.starts.index, start_names), len(scene.starts)], np.int32)
         kind = ProgramKey(scene, stepper, recorder, run.carry is not None)
-        self.programs = Programs(kind, self._dtype, workers[0].platform if self.accelerated else None)
+        self.programs = Programs(kind, self._dtype, None if workers[0] is None else workers[0].platform)
 
     def given(self, inputs: LaneInputs) -> LaneArguments:
         """Return parameters and initial conditions of lanes, in the precision of the run."""
@@ -216,7 +220,7 @@ class Engine:
         bound = [self._call(self.workers[0], partial(program, batch)) for batch in batches]
         items = [item for pair in zip(bound, batches, strict=True) for item in self._calls(*pair)]
 
-        def work(worker: jax.Device, item: tuple[Bound, Index]) -> None:
+        def work(worker: "jax.Device | None", item: tuple[Bound, Index]) -> None:
             call, lanes = item
             if isinstance(call, BoundKernel):
                 call(lanes)
@@ -228,15 +232,15 @@ class Engine:
             pass
         return [call.results for call in bound]
 
-    def _call(self, worker: "jax.Device", call: Callable[[], Any]) -> Any:
+    def _call(self, worker: "jax.Device | None", call: Callable[[], Any]) -> Any:
         """Return the result of `call` on a worker's device. If no kernel can be used, switch to XLA and call again."""
+        if self.programs.compiler == "llvm":
+            with contextlib.suppress(Untranslatable), kernel_precision(self.run.precision):
+                return call()
+            self.programs = Programs(self.programs.kind, self._dtype, worker.platform if worker else "cpu")
+            self._call(worker, self.programs.check_arithmetic)
         with precision(self.run.precision), jax.default_device(worker):
-            try:
-                return call()
-            except Untranslatable:
-                self.programs = Programs(self.programs.kind, self._dtype, worker.platform)
-                self.programs.check_arithmetic()
-                return call()
+            return call()
 
     def _calls(self, bound: Bound, batch: Batch) -> list[tuple[Bound, Index]]:
         """Split the lanes of a batch into blocks, and return the lanes of each call: some blocks.

@@ -231,7 +231,7 @@ class LaneRun:
             "order": self.stepper.order,
             "precision": self.settings.precision,
             "compiler": self.engine.programs.compiler,
-            "devices": f"{cores} cpu cores" if device.platform == "cpu" else f"{cores} {device.device_kind}",
+            "devices": f"{cores} cpu cores" if device is None else f"{cores} {device.device_kind}",
             "steps": steps,
             **self.accuracy.described(),
         }

@@ -281,7 +281,7 @@ def grow(
     count = state.shape[1]
     shares = np.array_split(np.arange(count), max(-(-count // TANGENT_LANES_PER_CALL), min(len(workers()), count)))
 
-    def work(_: jax.Device, lanes: np.ndarray) -> Growth:
+    def work(_: object, lanes: np.ndarray) -> Growth:
         p = {name: x[lanes] for name, x in parameters.items()}
         x, dx, size = state[:, lanes], tangent[:, lanes], scale[:, lanes]
         accuracy = Accuracy(*map(np.float64, steps))

@@ -36,7 +36,7 @@ def plan_of(scene: Scene[Any], run: RunSettings, lanes: int, starts_per_point: f
     """Return the plan of a run; `lanes`: number of its lanes."""
     plan = Plan(lanes, starts_per_point, 0)
     usual = CHUNK_SHARING_ORBITS if _ends_on_orbits(scene, run, plan) == "shared" else CHUNK
-    accelerated = workers()[0].platform != "cpu"
+    accelerated = workers()[0] is not None
     return Plan(lanes, starts_per_point, run.chunk or max(usual, XLA_BLOCK_ON_ACCELERATOR if accelerated else 0))
 
 

@@ -263,13 +263,13 @@ class Segments:
         return in_calls(work, states.shape[1], self._workers)
 
 
-def in_calls(work: Callable[[Index], R], number: int, workers: Sequence["jax.Device"]) -> R:
+def in_calls(work: Callable[[Index], R], number: int, workers: Sequence[object]) -> R:
     """Return `work(part)` in float64 for `number` segments, joined along the last axis; `part`: indices of segments."""
     by_threads = min(len(workers), number // MIN_SEGMENTS_PER_THREAD)
     calls = max(-(-number // MAX_SEGMENTS_PER_CALL), by_threads, 1)
     items = np.array_split(np.arange(number), calls)
 
-    def call(_: jax.Device, part: Index) -> R:
+    def call(_: object, part: Index) -> R:
         with precision("float64"):
             return work(part)
 

@@ -247,7 +247,7 @@ def machine() -> dict[str, str | int]:
     model = re.search(r"model name\s*: *(.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
     about: dict[str, str | int] = {"processor": model[1] if model else platform.processor() or platform.machine()}
     about["cores"], device = usable_cores(), workers()[0]
-    if device.platform != "cpu":
+    if device is not None:
         about["accelerator"] = device.device_kind
     return about | {"python": platform.python_version()} | {name: version(name) for name in ("jax", "diffrax")}
 

@@ -145,7 +145,7 @@ class DiffraxProgram(Program):
         measured = {name: np.asarray(x) for name, x in features.items() if x.ndim == 1}
         return measured | {"finite": np.isfinite(states).all(axis=(0, 2)) | ~finished, "finished": finished}
 
-    def _solve(self, worker: jax.Device, accuracy: Accuracy, times: Float[np.ndarray, " times"]) -> Features:
+    def _solve(self, worker: "jax.Device | None", accuracy: Accuracy, times: Float[np.ndarray, " times"]) -> Features:
         """Return states (states, lanes, times) [s], numbers of steps, and whether the end was reached.
 
         The lanes are those of a block for one time, else each lane once.
