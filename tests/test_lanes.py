@@ -82,6 +82,23 @@ def test_number_of_cores(tiled, monkeypatch):
     assert_identical(features(vj.run_sweep(sweep(TILED, chunk=100, **SHORT), progress=False)), tiled)
 
 
+def test_accelerators_are_not_overlooked(monkeypatch, tmp_path):
+    """Without jax, workers are those of the CPU only if jax could find no other devices."""
+    may_have = xla._may_have_accelerator.__wrapped__
+    for name in xla.DEVICE_VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    if may_have():
+        pytest.skip("a plugin is installed")
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda,cpu")
+    assert may_have()
+    monkeypatch.delenv("JAX_PLATFORMS")
+    (tmp_path / "jax_plugins" / "xla_cuda13").mkdir(parents=True)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert may_have()
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    assert not may_have()
+
+
 def test_second_sweep_compiles_nothing(tiled):
     """Parameters, times and accuracy are values, so another sweep of the scene runs in the same program."""
     compiled = list(kernels)

@@ -1,6 +1,7 @@
 """Test imports: only from folders above, in the order of CONTRIBUTING, of public names, and of few large libraries."""
 
 import ast
+import os
 import subprocess
 import sys
 import tomllib
@@ -8,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import xarray as xr
 from drawn import lanes, square
 
 import vibrojax as vj
@@ -82,3 +84,56 @@ def test_commands_import_no_library_that_they_do_not_need(tmp_path):
     completed = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, cwd=tmp_path)
     assert (completed.returncode, completed.stderr) == (0, "")
     assert completed.stdout
+
+
+RUN = """
+import sys
+from vibrojax.cli import main
+from vibrojax.compile import native
+native.CODE_LEVEL = native.QUICK_LEVEL
+assert main(sys.argv[1:]) == 0
+print("jax" in sys.modules)
+"""
+"""Code of a process that says whether a command has imported jax."""
+
+MAP = 'scene = "vibro-impact"\n[grid]\nbeta = [0.3, 0.4]\n[run]\nsettle = 1.0\nobserve = 1.0\n'
+MOTION = pytest.param("simulate vibro-impact duration=1", marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize("words", ["sweep map.toml", MOTION])
+def test_cached_kernels_run_without_jax(words, tmp_path):
+    """A process that traces makes jax's settings late, and has the same results as the next, which needs no trace."""
+    (tmp_path / "map.toml").write_text(MAP)
+    environment = os.environ | {"VIBROJAX_CACHE": str(tmp_path / "cache"), "JAX_PLATFORMS": "cpu"}
+    for name, imports_jax in (("traced.nc", True), ("cached.nc", False)):
+        command = [sys.executable, "-c", RUN, *words.split(), "-o", name]
+        completed = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
+        assert completed.stdout.splitlines()[-1:] == [str(imports_jax)], completed.stderr
+    xr.testing.assert_equal(*(vj.open_dataset(tmp_path / name) for name in ("traced.nc", "cached.nc")))
+
+
+THREADS = """
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from vibrojax.compile.xla import float_type, precision
+from vibrojax.lazy import jax, jnp, lax
+together = Barrier(3)
+def work(module, attribute, name, other):
+    with precision(other):
+        with precision(name):
+            assert float_type() == name
+            together.wait()
+            getattr(module, attribute)
+            assert float_type() == jnp.zeros(1).dtype == name
+        assert float_type() == jnp.zeros(1).dtype == other
+    assert float_type() == jnp.zeros(1).dtype == "float32"
+calls = zip((jax, jnp, lax), ("tree", "exp", "scan"), ("float64", "float32", "float64"), ("float32", "float64", "float64"))
+with ThreadPoolExecutor(3) as pool:
+    list(pool.map(lambda call: work(*call), calls))
+"""
+"""Code of a process in which threads choose a precision, import jax at once, and choose another one."""
+
+
+def test_threads_import_jax_at_once_each_with_its_precision():
+    completed = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True)
+    assert (completed.returncode, completed.stderr) == (0, "")

@@ -1,14 +1,18 @@
-"""Tests that object code may lie anywhere: all its references are whole addresses."""
+"""Tests of kernels: references in object code, the lanes of a call, pytrees of arguments and results."""
 
 import struct
 import sys
+from collections import OrderedDict
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from vibrojax.compile import cache, native
 from vibrojax.compile.native import Kernel
+from vibrojax.compile.trees import flatten, map_leaves, unflatten
 
 RELOCATIONS, WHOLE_ADDRESS = 4, 1  # SHT_RELA, R_X86_64_64 (ELF-64 and x86-64 psABI)
 
@@ -93,3 +97,31 @@ def test_arrays_of_other_lengths_are_refused():
     for y in (np.ones((2, 8)), np.ones((1, 9)), np.ones(9)):
         with pytest.raises(ValueError, match="shapes"):
             kernel(x, y)
+
+
+class Pair(NamedTuple):
+    """A container like those of programs."""
+
+    first: object
+    second: object = ()
+
+
+TREES = (
+    (1.0, [2, None, (), []], {}, "3"),
+    {"b": np.ones(2), "a": {"z": None, "y": Pair(np.float32(1), (np.zeros(3),))}, "_": True},
+    ({2: 1, -1: 2, 10: 3}, Pair([Pair({"b": 1, "B": 2}), 3])),
+    ({"x": jnp.ones(2), "o": OrderedDict(b=1, a=[2, 3])}, jax.ShapeDtypeStruct((3,), float)),
+)
+
+
+@pytest.mark.parametrize("tree", TREES, ids=range(len(TREES)))
+def test_trees_are_those_of_jax(tree):
+    """Kernels number their arguments as jax does, and results are put together again from their numbers."""
+    leaves, structure = flatten(tree)
+    expected, by_jax = jax.tree.flatten(tree)
+    assert list(map(id, leaves)) == list(map(id, expected))
+    numbers = range(len(leaves))
+    assert repr(unflatten(structure, numbers)) == repr(jax.tree.unflatten(by_jax, numbers))
+    assert repr(map_leaves(lambda *x: x, tree, tree)) == repr(jax.tree.map(lambda *x: x, tree, tree))
+    assert [structure == flatten(other)[1] for other in TREES] == [other is tree for other in TREES]
+    assert hash(structure) == hash(flatten(tree)[1])

@@ -27,7 +27,7 @@ from vibrojax.compile.foreign import needs_comparison
 from vibrojax.compile.identity import digest
 from vibrojax.compile.translation import KernelText, kernel_text
 from vibrojax.compile.trees import flatten, unflatten
-from vibrojax.compile.xla import float_type, jax_precision
+from vibrojax.compile.xla import float_type
 from vibrojax.lazy import jax, jnp
 
 PASSES = ("sroa", "aggressive_dce")
@@ -330,7 +330,7 @@ def kernel_for(
             name = digest(function, static, types, settings)
             kernel = None if name is None else Kernel.found(name)
             if kernel is None:
-                with jax_precision(), _uncollected():
+                with _uncollected():
                     kernel = Kernel(lambda *dynamic: function(*static, *dynamic), *examples, registers=registers)
                 if name is not None:
                     kernel.enter(name)

@@ -1,7 +1,7 @@
-"""Pytrees without jax, whose import takes longer than small sweeps whose kernels are cached.
+"""Pytrees of kernels, taken apart without importing jax.
 
-Containers are those of programs: tuples, named tuples, lists, dicts and None. jax takes apart all other objects that
-are no numbers or numpy arrays. Leaves have the same order as in jax: those of a dict in the order of sorted keys.
+Containers are tuples, named tuples, lists, dicts and None. Numbers and numpy arrays are leaves. Any other object is
+left to jax. Leaves have the same order as in jax: those of a dict in the order of its sorted keys.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,14 +11,14 @@ import numpy as np
 
 from vibrojax.lazy import jax
 
-_NUMBERS = (np.ndarray, np.generic, bool, int, float, complex, str)
-"""Types that are leaves in jax, too."""
+_LEAF_TYPES = (np.ndarray, np.generic, int, float, complex, str)
+"""Types that are leaves for jax as well."""
 
 
 class Structure(NamedTuple):
-    """A pytree without its leaves.
+    """Structure of a pytree.
 
-    - `kind`: class of the container, jax's structure of an object that jax took apart, or None for a leaf.
+    - `kind`: class of the container, None for a leaf, or jax's own structure of an object that was left to jax.
     - `keys`: sorted keys of a dict; `parts`: structures of the items.
     """
 
@@ -45,7 +45,7 @@ def _structure(x: Any, leaves: list[Any]) -> Structure:
         return Structure(dict, keys, tuple(_structure(x[key], leaves) for key in keys))
     if type(x) in (tuple, list) or (isinstance(x, tuple) and hasattr(x, "_fields")):
         return Structure(type(x), (), tuple(_structure(item, leaves) for item in x))
-    if not isinstance(x, _NUMBERS):
+    if not isinstance(x, _LEAF_TYPES):
         parts, structure = jax.tree.flatten(x)
         if not jax.tree_util.treedef_is_leaf(structure):
             leaves.extend(parts)

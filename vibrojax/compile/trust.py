@@ -28,7 +28,7 @@ import llvmlite
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import Untranslatable
 from vibrojax.compile.native import Kernel, kernel_for
-from vibrojax.compile.xla import float_type, jax_precision, jitted
+from vibrojax.compile.xla import float_type, jitted
 
 TESTED_VERSIONS = {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
 """Versions with which all tests have passed, oldest first."""
@@ -135,8 +135,7 @@ def _verify(key: str, subject: Subject) -> None:
     compared = owner, subject.variant, precision
     if compared not in _trusted and store.read(_verdict_name(key)) != AGREES:
         try:
-            with jax_precision():
-                verdict = _verdict(subject)
+            verdict = _verdict(subject)
         except Untranslatable as error:  # raised by code that the comparison needs and this kernel does not
             _refused[owner] = str(error)
             raise

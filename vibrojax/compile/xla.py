@@ -4,7 +4,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from functools import cache, partial, wraps
 from importlib.metadata import entry_points, version
@@ -14,7 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from jaxtyping import Int
 
-from vibrojax.lazy import jax, jnp
+from vibrojax.lazy import jax, jnp, pending
 
 WIDE_VECTORS_CHECKED = ("0.10.0", "0.12.0.1")
 """Versions of jaxlib whose functions are correct with AVX-512 registers. In 0.10.2, 0.11.0 and 0.11.2, arctan of more
@@ -50,8 +50,7 @@ def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            with jax_precision():
-                return program(tuple(compiler_options(jax.default_backend()).items()))(*args, **kwargs)
+            return program(tuple(compiler_options(jax.default_backend()).items()))(*args, **kwargs)
 
         return call
 
@@ -134,6 +133,9 @@ def _run_blocks(
 THREAD_VARIABLES = ("VIBROJAX_THREADS", "SLURM_CPUS_PER_TASK")
 """Environment variables for the number of threads. The first that holds a positive integer applies."""
 
+DEVICE_VARIABLES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "PJRT_NAMES_AND_LIBRARY_PATHS", "TPU_LIBRARY_PATH")
+"""Environment variables with which jax may have other devices than the CPU, even without a plugin."""
+
 _THREADS: ContextVar[int | None] = ContextVar("threads", default=None)
 
 
@@ -143,25 +145,17 @@ def workers() -> "list[jax.Device | None]":
     A compiled loop keeps one CPU core busy, so by default there is one thread per core. On accelerators there is one
     thread per device.
     """
-    devices = jax.local_devices() if "jax" in sys.modules or _may_have_accelerators() else []
-    accelerated = bool(devices) and devices[0].platform != "cpu"
-    return [*devices] if accelerated else [None] * threads()
+    devices = jax.local_devices() if "jax" in sys.modules or _may_have_accelerator() else []
+    return [*devices] if devices and devices[0].platform != "cpu" else [None] * threads()
 
 
 @cache
-def _may_have_accelerators() -> bool:
-    """Return whether jax may find an accelerator. It needs a plugin or settings of the user."""
+def _may_have_accelerator() -> bool:
+    """Return whether jax, which takes a second to import, may find an accelerator: by a plugin or a variable."""
     if os.environ.get("JAX_PLATFORMS") == "cpu":
         return False
-    return (
-        any(os.environ.get(name) for name in _DEVICE_VARIABLES)
-        or any(map(find_spec, ("jax_plugins", "libtpu")))
-        or bool(entry_points(group="jax_plugins"))
-    )
-
-
-_DEVICE_VARIABLES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "PJRT_NAMES_AND_LIBRARY_PATHS", "TPU_LIBRARY_PATH")
-"""Environment variables by which users choose or add devices of jax."""
+    plugins = [*filter(find_spec, ("jax_plugins", "libtpu")), *entry_points(group="jax_plugins")]
+    return bool(plugins) or any(os.environ.get(name) for name in DEVICE_VARIABLES)
 
 
 @contextmanager
@@ -195,56 +189,29 @@ def usable_cores() -> int:
 def precision(name: str) -> Iterator[None]:
     """Compute in "float64" or "float32" in this thread, whatever the configuration of jax.
 
+    If jax has not been imported, its settings are made when the thread first uses it; see [vibrojax.lazy][].
     Numbers are computed at once, even if jax traces the function that calls the package. Settings for debugging the
     user's functions do not apply: lanes that fail hold NaN, programs need jit, and checks for leaks take minutes.
     """
-    check_leaks: Any = jax.checking_leaks.func  # `jax.checking_leaks` itself is this setting with the argument True
-    settings = jax.disable_jit, jax.debug_nans, jax.debug_infs, check_leaks
-    with _floats(name, known_to_jax=True), ExitStack() as stack:
-        for setting in settings:
+
+    def enter() -> None:
+        check_leaks: Any = jax.checking_leaks.func  # `jax.checking_leaks` itself is this setting with the argument True
+        for setting in (jax.disable_jit, jax.debug_nans, jax.debug_infs, check_leaks):
             stack.enter_context(setting(False))
         stack.enter_context(jax.core.eval_context())
         stack.enter_context(jax.enable_x64(name == "float64"))
-        yield
 
-
-@contextmanager
-def kernel_precision(name: str) -> Iterator[None]:
-    """Call kernels in "float64" or "float32" in this thread, without importing jax; see `precision`.
-
-    Functions of lanes may be called within this context, but jax's functions may not. What compiles these functions
-    enters `jax_precision` first.
-    """
-    with _floats(name, known_to_jax=False):
-        yield
-
-
-@contextmanager
-def jax_precision() -> Iterator[None]:
-    """Give jax the precision of the innermost `kernel_precision`, if there is one."""
-    with nullcontext() if _current.known_to_jax else precision(_current.name):
-        yield
+    before = pending.precision, pending.enter
+    with ExitStack() as stack:
+        pending.precision, pending.enter = name, None if "jax" in sys.modules else enter
+        try:
+            if pending.enter is None:
+                enter()
+            yield
+        finally:
+            pending.precision, pending.enter = before
 
 
 def float_type() -> np.dtype:
-    """Return the type of the floats of this thread's precision, by default that of jax."""
-    return np.dtype(_current.name or jnp.result_type(float))
-
-
-class _Floats(threading.local):
-    """Precision of a thread, by default (empty) that of jax's configuration, and whether jax knows it."""
-
-    name, known_to_jax = "", True
-
-
-_current = _Floats()
-
-
-@contextmanager
-def _floats(name: str, known_to_jax: bool) -> Iterator[None]:
-    before = _current.name, _current.known_to_jax
-    _current.name, _current.known_to_jax = name, known_to_jax
-    try:
-        yield
-    finally:
-        _current.name, _current.known_to_jax = before
+    """Return the type of floats in this thread's precision."""
+    return np.dtype(jnp.result_type(float) if pending.enter is None else pending.precision)

@@ -18,7 +18,7 @@ from jaxtyping import Int
 from vibrojax.compile import Untranslatable
 from vibrojax.compile.native import BoundKernel
 from vibrojax.compile.trees import map_leaves
-from vibrojax.compile.xla import BoundProgram, kernel_precision, precision
+from vibrojax.compile.xla import BoundProgram, precision
 from vibrojax.lanes.compiler import Programs
 from vibrojax.lanes.inputs import Features, Index, LaneInputs, Mask, PerLane, Report, unreported
 from vibrojax.lanes.programs import (
@@ -234,13 +234,13 @@ class Engine:
 
     def _call(self, worker: "jax.Device | None", call: Callable[[], Any]) -> Any:
         """Return the result of `call` on a worker's device. If no kernel can be used, switch to XLA and call again."""
-        if self.programs.compiler == "llvm":
-            with contextlib.suppress(Untranslatable), kernel_precision(self.run.precision):
+        with precision(self.run.precision), jax.default_device(worker) if worker else contextlib.nullcontext():
+            try:
                 return call()
-            self.programs = Programs(self.programs.kind, self._dtype, worker.platform if worker else "cpu")
-            self._call(worker, self.programs.check_arithmetic)
-        with precision(self.run.precision), jax.default_device(worker):
-            return call()
+            except Untranslatable:
+                self.programs = Programs(self.programs.kind, self._dtype, worker.platform if worker else "cpu")
+                self.programs.check_arithmetic()
+                return call()
 
     def _calls(self, bound: Bound, batch: Batch) -> list[tuple[Bound, Index]]:
         """Split the lanes of a batch into blocks, and return the lanes of each call: some blocks.

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int8, Shaped
 
-from vibrojax.compile.xla import kernel_precision, precision
+from vibrojax.compile.xla import precision
 from vibrojax.io.variables import ORBIT_REASONS, OWN_REGIMES, REASONS, STATUSES, VARIABLES, Variable, orbit_name
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.inputs import Features, LaneInputs
@@ -200,7 +200,7 @@ def regimes(
     # With these values, lanes without friction are never at equilibrium.
     rest, m1, g, k1 = np.zeros((4, lanes)) + [[0.0], [0.0], [0.0], [1.0]]
     if isinstance(scene, HasFriction):
-        with kernel_precision("float64"):
+        with precision("float64"):
             rest = np.asarray(_friction_at_rest(scene, dict(values)))
         m1, g, k1 = (values[name] for name in ("m1", "g", "k1"))
     return label(features, rest, m1, g, k1)
@@ -265,7 +265,7 @@ class FastestRates(NamedTuple):
 
 def fastest_rates(scene: HasFriction[Any], p: Parameters) -> FastestRates:
     """Return the fastest rates of lanes."""
-    with kernel_precision("float64"):
+    with precision("float64"):
         lanes = np.broadcast_arrays(*(np.atleast_1d(np.asarray(x, np.float64)) for x in p.values()))
         rates = _compiled_rates(scene, dict(zip(p, lanes, strict=True)))
         return FastestRates(*(np.asarray(x).reshape(_shape(p)) for x in rates))

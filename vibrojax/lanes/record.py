@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
+from vibrojax.compile.trees import map_leaves
 from vibrojax.errors import InputError, Place
 from vibrojax.io.files import memory, size_text
 from vibrojax.io.variables import Variable
@@ -395,7 +396,7 @@ def lowest_velocity(velocity: list[Array], tau: Array) -> Array:
 
 def scalars(c: Any) -> Any:
     """Return the constants of one lane as scalars, which apply to all samples."""
-    return jax.tree.map(lambda x: np.asarray(x).reshape(()), c)
+    return map_leaves(lambda x: np.asarray(x).reshape(()), c)
 
 
 def states_shown(
