@@ -114,24 +114,24 @@ def test_cached_kernels_run_without_jax(words, tmp_path):
 
 THREADS = """
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from threading import Barrier
 from vibrojax.compile.xla import float_type, precision
 from vibrojax.lazy import jax, jnp, lax
-together = Barrier(3)
-def work(module, attribute, name, other):
-    with precision(other):
-        with precision(name):
-            assert float_type() == name
+together = Barrier(4)
+def work(module, attribute, name):
+    with precision("float64") if name else nullcontext():
+        with precision(name) if name else nullcontext():
             together.wait()
             getattr(module, attribute)
-            assert float_type() == jnp.zeros(1).dtype == name
-        assert float_type() == jnp.zeros(1).dtype == other
+            assert float_type() == jnp.zeros(1).dtype == (name or "float32")
+        assert float_type() == jnp.zeros(1).dtype == ("float64" if name else "float32")
     assert float_type() == jnp.zeros(1).dtype == "float32"
-calls = zip((jax, jnp, lax), ("tree", "exp", "scan"), ("float64", "float32", "float64"), ("float32", "float64", "float64"))
-with ThreadPoolExecutor(3) as pool:
+calls = ((jax, "tree", "float32"), (jnp, "exp", "float32"), (jnp, "sin", ""), (lax, "scan", ""))
+with ThreadPoolExecutor(4) as pool:
     list(pool.map(lambda call: work(*call), calls))
 """
-"""Code of a process in which threads choose a precision, import jax at once, and choose another one."""
+"""Code of a process whose threads import jax at once, of which two compute in a precision of their own."""
 
 
 def test_threads_import_jax_at_once_each_with_its_precision():
