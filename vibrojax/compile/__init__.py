@@ -13,6 +13,7 @@ instructions are not covered by the tests, it is compared with XLA before the fi
 
 - `translation.py`, `assembly.py`, `native.py` and others: translation of jax's trace to LLVM's intermediate
   representation (IR), compilation; `cache.py`: the disk cache; `identity.py`: what decides a trace.
+- `trees.py`: arguments and results as pytrees, without jax.
 - `xla.py`: XLA's options, functions that run block by block, devices, threads, precision.
 - `foreign.py`, `agreement.py`, `trust.py`: whether foreign code needs a comparison; comparison of a kernel with XLA and
   of elementary functions with numpy; the decision which compiler runs.

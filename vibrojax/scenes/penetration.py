@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from vibrojax.lazy import jnp
 from vibrojax.physics.elementary import sin
 from vibrojax.physics.parameters import BIT_AND_STRIKER, Parameter, not_negative, positive, table
@@ -104,7 +106,8 @@ class Penetration(OnRock, Driven[Any]):
         return c.speed
 
     def start(self, c: Any, name: Start, shape: tuple[int, ...]) -> Values:
-        return (jnp.zeros(shape, c.rock.m1.dtype),) * 4
+        xp = np if isinstance(c.rock.m1, np.ndarray) else jnp  # as in `rotary`
+        return (xp.zeros(shape, c.rock.m1.dtype),) * 4
 
     def mode_at(self, c: Any, state: Values) -> Values:
         return (bit_on_rock.rock_at(c.rock, state[0], state[1]), jnp.ones_like(state[0]))
