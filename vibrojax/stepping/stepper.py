@@ -119,6 +119,8 @@ class Stepper(ABC):
     - `coarser_by`: tolerance or smoothing width of the check run (the coarser run that gives the error) over that of
       the main run.
     - `error_share`: ratio of the estimated error of the main run to the difference of the two runs.
+    - `check_settles`: additional settling time of the check run of a settled lane, as a fraction of the lane's own. If
+      it is zero, the motion of the check run is extrapolated from its returns, which requires the two runs to be close.
     - `smooths`: True if the jump of dry friction is spread over a width, so that the bit never sticks.
     - `rests`: True if motion within rounding error is treated as rest. Lanes that are too stiff or too slow for their
       precision are then rejected.
@@ -140,6 +142,7 @@ class Stepper(ABC):
     order: int
     coarser_by: ClassVar[float]
     error_share: ClassVar[float]
+    check_settles: ClassVar[float] = 0.5
     smooths: ClassVar[bool] = False
     rests: ClassVar[bool] = False
 
