@@ -118,7 +118,8 @@ class Stepper(ABC):
     - `order`: order of the method; `degree`: degree of the polynomials that describe a step.
     - `coarser_by`: tolerance or smoothing width of the check run (the coarser run that gives the error) over that of
       the main run.
-    - `error_share`: ratio of the estimated error of the main run to the difference of the two runs.
+    - `check_settles`: additional settling time of the check run of a settled lane, as a fraction of the lane's own. If
+      it is zero, the motion of the check run is extrapolated from its returns, which requires the two runs to be close.
     - `smooths`: True if the jump of dry friction is spread over a width, so that the bit never sticks.
     - `rests`: True if motion within rounding error is treated as rest. Lanes that are too stiff or too slow for their
       precision are then rejected.
@@ -139,7 +140,7 @@ class Stepper(ABC):
     name: ClassVar[str]
     order: int
     coarser_by: ClassVar[float]
-    error_share: ClassVar[float]
+    check_settles: ClassVar[float] = 0.5
     smooths: ClassVar[bool] = False
     rests: ClassVar[bool] = False
 
@@ -147,6 +148,11 @@ class Stepper(ABC):
     @abstractmethod
     def degree(self) -> int:
         """Degree of the polynomials that describe a step."""
+
+    @property
+    @abstractmethod
+    def error_share(self) -> float:
+        """Ratio of the estimated error of the main run to the difference of the two runs."""
 
     @abstractmethod
     def step(
