@@ -16,7 +16,7 @@ _LEAF_TYPES = (np.ndarray, np.generic, int, float, complex, str)
 
 
 class Structure(NamedTuple):
-    """Structure of a pytree.
+    """Structure of a pytree, hashable.
 
     - `kind`: class of the container, None for a leaf, or jax's own structure of an object that was left to jax.
     - `keys`: sorted keys of a dict; `parts`: structures of the items.
@@ -31,13 +31,12 @@ _LEAF = Structure()
 
 
 def flatten(tree: Any) -> tuple[list[Any], Structure]:
-    """Return the leaves of a pytree, and its structure, which is hashable."""
+    """Return the leaves of a pytree, and its structure."""
     leaves: list[Any] = []
     return leaves, _structure(tree, leaves)
 
 
 def _structure(x: Any, leaves: list[Any]) -> Structure:
-    """Return the structure of a pytree and append its leaves."""
     if x is None:
         return Structure(type(x))
     if type(x) is dict:

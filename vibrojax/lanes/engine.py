@@ -95,10 +95,7 @@ Bound = BoundKernel | BoundProgram
 
 
 class Engine:
-    """Compiled programs of the lanes of one scene, run by all `workers`.
-
-    `workers`: the accelerator of each thread, or None for each thread on the CPU.
-    """
+    """Compiled programs of the lanes of one scene, run by all `workers`: accelerators, or None for a CPU thread."""
 
     def __init__(
         self,
