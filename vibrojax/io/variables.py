@@ -13,9 +13,10 @@ class Variable:
 
     - `units`, `long_name`: CF attributes.
     - `dtype`: data type of the stored values.
-    - `flags`: the meanings of the values 0, 1, ..., or of `first_flag` and the following integers.
-    - `along`: a dimension in addition to the sweep's dimensions; "": none.
-    - `dims`: all dimensions, if they are the same in every dataset; values are then given without dimensions.
+    - `flags`: the meaning of each integer value, from `first_flag` (0 by default) upwards.
+    - `along`: name of a dimension that the variable has in addition to those of the sweep; "": none.
+    - `dims`: all dimensions of the variable, if these are the same in every dataset; the values are then given without
+      dimensions.
     - `notes`: further attributes by name, such as a definition.
 
     **Example:**

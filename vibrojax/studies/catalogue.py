@@ -45,10 +45,10 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     """Return a table of a scene's parameters by name, including those of friction laws and alternatives such as `rpm`.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
-    is the range in the source and on drilling rigs; values far from it cause a warning. `where` is the friction law or
-    pulse shape to which the parameter belongs; it is empty if the scene always has the parameter.
+    is the range in the source and on drilling rigs; values far outside this range cause a warning. `where` is the
+    friction law or pulse shape to which the parameter belongs, and is empty if the scene always has the parameter.
 
-    **Raises:** `InputError` if there is no such scene.
+    **Raises:** `InputError` if the scene does not exist.
 
     **Example:**
 
@@ -85,11 +85,11 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
 
 
 def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of the variables in a scene's datasets by name: `units`, `meaning`, and `where`.
+    """Return a table of the variables in datasets of a scene, by name, with `units`, `meaning` and `where`.
 
-    `where` is the command that adds the variable; it is empty for the variables of a sweep and of its orbits.
+    The column `where` is the command that adds the variable; it is empty for variables of a sweep and its orbits.
 
-    **Raises:** `InputError` if there is no such scene.
+    **Raises:** `InputError` if the scene does not exist.
 
     **Example:**
 
@@ -125,9 +125,9 @@ def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
 
 
 def list_settings() -> "pd.DataFrame":
-    """Return a table of the settings of a sweep, which belong in its table [run], with their defaults.
+    """Return a table of the settings in [run] of a sweep, with their defaults.
 
-    The default times of a `vj.System` are its `usual_times` instead.
+    In a `vj.System`, the attribute `usual_times` holds the default settling and observation times.
 
     **Example:**
 

@@ -329,15 +329,16 @@ def _subject(ds: xr.Dataset) -> list[str]:
 
 
 def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool = True) -> xr.Dataset:
-    """Find the values of varied parameters that maximise a variable, under constraints at samples of the tolerances.
+    """Find the parameter values that maximise a variable, under constraints at samples of the tolerance box.
 
         best = vj.design("design.toml")
         best.isel(candidate=0)
 
-    SLSQP begins at the best points of a coarse map and uses the derivatives of the periodic orbits. Simulations then
-    search the neighbourhood of each optimum. Candidates are simulated again from every start, at all corners of the
-    tolerance box and at 256 random points in it. Worst values are the worst over these samples, not over the whole box;
-    if `irregular_share` is above 0, they also depend on the duration of the observation.
+    The optimizer SLSQP begins at the best points of a coarse map and uses the derivatives of the periodic orbits.
+    Simulations then search the neighbourhood of each optimum. All candidates are simulated again from every start, at
+    all corners of the tolerance box and at 256 random points inside it. All worst values are the worst over these
+    samples, not over the whole box. If `irregular_share` is above 0, the worst values also depend on the duration of
+    the observation.
 
     **Arguments:**
 
@@ -347,15 +348,15 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     **Returns:** a dataset along `candidate`, best first:
 
-    - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst`, the worst over
-      the samples of the tolerances, by which a robust design is ranked; the variables of the subject, each at the
-      nominal point and as `NAME_worst`; `feasible`.
+    - the varied parameters; `objective`, the value at the nominal point from the worst start; `objective_worst`, the
+      worst value over the samples of the tolerance box, by which robust designs are ranked; each variable of the
+      `subject` at the nominal point, and its worst value `NAME_worst`; `feasible`.
     - `gradient` along `parameter`.
-    - if `front` is given: along `front`, the limit that varies, `front_objective` and the varied parameters.
+    - along `front`, if the design has a front: the varied limit, `front_objective` and the varied parameters.
     - along `map`: the coarse map.
 
-    **Raises:** `InputError` for an invalid design, if there is no feasible point, or if the objective is 0 at all
-    feasible points.
+    **Raises:** `InputError` if the design is invalid, if no point is feasible, or if the objective is 0 at all feasible
+    points.
 
     **Example:**
 

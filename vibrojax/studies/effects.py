@@ -228,34 +228,36 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
 
 
 def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
-    """Find which parameters, and which pairs of them, determine a machine's performance within a box of values.
+    """Find the parameters, and pairs of parameters, that determine the performance of a machine within a box of values.
 
         ds = vj.study("drill")
         ds.total_order.sel(of="impact_energy").to_pandas()
 
-    The study runs Saltelli's sample of the box for Sobol indices, and the corners of a two-level factorial design for
-    effects and interactions. With more than eight parameters, it runs a fraction of the corners, of resolution V.
+    The study simulates Saltelli's sample of the parameter box for Sobol indices, and the corners of a two-level
+    factorial design for effects and interactions. For more than eight parameters, the factorial design is a fractional
+    one of resolution V.
 
     **Arguments:**
 
-    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. It has a `scene`;
-      `of`, a list of variables of the scene's sweeps, or "share_single_impact"; and [vary] with NAME = [low, high] for
-      up to twelve parameters. Optional are [parameters], `starts` and [run] as in a sweep, `samples` (base samples, a
-      power of two; default 256) and `seed` (default 0). D parameters need (2 D + 2) lanes per base sample and start.
+    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has a
+      `scene`, a list `of` of variables or "share_single_impact", and a table `[vary]` with NAME = [low, high] for up to
+      twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number of
+      base samples, a power of two; default 256) and `seed` (default 0). A study of D parameters needs (2 D + 2) lanes
+      per base sample and start.
 
-    **Returns:** a dataset over `of`, `parameter` and `other` (the parameters again).
+    **Returns:** a dataset over the dimensions `of`, `parameter` and `other`, the second parameter of a pair.
 
-    - `first_order`, `total_order`: shares of the variance due to a parameter alone, and with all its interactions, with
-      95 % confidence intervals `first_order_conf` and `total_order_conf`. `second_order`: share due to the interaction
-      of a pair.
+    - `first_order`: share of the variance that a parameter causes alone; `total_order`: share that it causes with all
+      its interactions; `first_order_conf`, `total_order_conf`: half-widths of the 95 % confidence intervals.
+      `second_order`: share of the variance that the interaction of two parameters causes.
     - `effect`: mean of the variable at the high level of a parameter minus its mean at the low level. `interaction`:
-      half the difference of this effect between the high and the low level of the other parameter.
-    - `mean`, `std`: mean and standard deviation of the variable over the box. `share_single_impact`, `regime_share`:
-      shares of lanes with a single impact and in each regime.
-    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners to which the
-      rules in the attribute `rules` apply. `sobol_reason`: why there are no Sobol indices.
+      half the difference between the effects of a parameter at the high and at the low level of another parameter.
+    - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of
+      lanes with a single impact; `regime_share`: share of lanes in each regime.
+    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners that are
+      treated by the attribute `rules`. `sobol_reason`: reason why the dataset lacks Sobol indices.
 
-    **Raises:** `InputError` if the study is invalid, or SALib is not installed.
+    **Raises:** `InputError` if the study is invalid or SALib is not installed.
 
     **Example:**
 

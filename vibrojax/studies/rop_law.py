@@ -109,41 +109,43 @@ def fit_rop(
     where: Where = None,
     nulls: Nulls = None,
 ) -> xr.Dataset:
-    """Fit six forms of the rate-of-penetration law to each group: three readings of eq. 6.4 and three rivals.
+    """Fit six forms of the rate-of-penetration law to groups of lanes: three readings of eq. 6.4 and three others.
 
-    A form is a formula for the rate over the relief. A lane whose rate is zero is censored: it contributes only where a
-    form predicts a positive rate. Lanes that failed, are irregular or have no usable values are left out and counted.
-    Standard errors (HC3) are valid for noise of constant size and for noise proportional to the rate.
+    A *form* is a formula for the rate of penetration as a function of the relief. A lane whose rate is zero is
+    censored: it contributes to the residuals only where a form predicts a positive rate. Lanes that failed, are
+    irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for noise of constant
+    size and for noise proportional to the rate.
 
-    For rows of a rig log, the loss is robust. If the data show a founder weight, above which the rate does not rise,
-    the forms are fitted to the rows below it. From 30 rows on, outlying rows are left out and listed (attribute
-    `left_out_rows`). From 50 rows on, the fit accounts for correlated noise of neighbouring rows: leaving out blocks of
-    rows gives the standard errors, and the forms are compared by their predictions of each block from all others
-    (`cv_error`).
+    A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate does not rise, the
+    forms are fitted to the rows below this weight. In logs of 30 rows or more, outlying rows are left out and listed in
+    the attribute `left_out_rows`. In logs of 50 rows or more, the noise of neighbouring rows may be correlated: a
+    jackknife over blocks of rows gives the standard errors, and the forms are compared by the cross-validation error
+    `cv_error` over these blocks.
 
     **Arguments:**
 
-    - `data`: dataset with rate_of_penetration [m/s], relief [1] and optionally regime, or the path of such a dataset
-      (.nc) or of a rig log (see `read_log`), or a DataFrame with the columns of such a log.
+    - `data`: a dataset with rate_of_penetration [m/s], relief [1] and optionally regime; the path of such a dataset
+      (.nc); the path of a rig log (see `read_log`); or a DataFrame with the columns of a rig log.
     - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Each combination of values
       on the other axes is a group.
-    - `by`: columns of a table (a CSV, or a sweep of points) whose values distinguish the groups. If `along` is a
-      column, the default is all columns except `along` and mean_force.
-    - `robust`: the loss, "soft-l1", scaled by the median absolute deviation, or "squares"; by default soft-l1 for rows
-      of a log and squares for a sweep. R² and AIC are computed from the plain residuals.
+    - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
+      `along` is a column, the default is all columns except `along` and mean_force.
+    - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation
+      (default for a log). R² and AIC are computed from plain residuals, without this loss.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
-      {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: eta is then
-      the force over its median (attribute `reference_force` [N]), and `onset_force` [N] is the force at the onset.
-    - `where`, `nulls`: only for a rig log; as in `read_log`.
+      {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: the median
+      force (attribute `reference_force` [N]) then replaces the threshold in the relief, and `onset_force` [N] is the
+      force at the onset of penetration.
+    - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
-    r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` (result of the comparison of
-    the forms) and `reason`. A coefficient is NaN if the form does not have it or the lanes do not identify it. Over the
-    groups: `founder_weight` [N] with its standard error, NaN if there is none, and `founder_fall` [m/s/N], the decrease
-    of the rate per force above it. The attribute `verdict` is the form that the data of all groups support, or "none";
-    `left_out_rows` lists outlying rows of a log. Over the groups and `lane`, the dataset holds the data: data_relief
-    [1], data_rate_of_penetration [m/s], and `data_use`.
+    **Returns:** a dataset. Over the groups and `form`: the coefficients C [m/s], eta0 [1] and exponent [1] with
+    standard errors; r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` (result of the
+    comparison of the forms) and `reason`. A coefficient is NaN if the form lacks it or the lanes do not identify it.
+    Over the groups: `founder_weight` [N] with its standard error (NaN without a founder weight), and `founder_fall`
+    [m/s/N], the decrease of the rate per unit of force above the founder weight. Over the groups and `lane`: the data
+    as data_relief [1], data_rate_of_penetration [m/s], and `data_use`. The attribute `verdict` is the form that the
+    data of all groups support, or "none"; the attribute `left_out_rows` lists outlying rows of a log.
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 
