@@ -38,15 +38,15 @@ _MAX_PANELS = 6
 _YES_NO = ("no", "yes")
 
 DESIGN_VARIABLES = {
-    "share": Variable("1", "share of the starts from which all requirements hold at the nominal point"),
+    "share": Variable("1", "share of the starts whose motion meets all requirements at the nominal point"),
     "share_worst": Variable(
-        "1", "least share of the starts from which all requirements hold at a sample of the tolerances"
+        "1", "share of the starts whose motion meets all requirements, at the worst sample of the tolerance box"
     ),
-    "feasible": Variable("1", "whether all requirements hold at all samples of the tolerances", np.int8, _YES_NO),
-    "irregular_share": Variable("1", "share of the samples' lanes that are irregular, undecided or failed"),
+    "feasible": Variable("1", "whether all samples of the tolerance box meet all requirements", np.int8, _YES_NO),
+    "irregular_share": Variable("1", "share of lanes in the tolerance box that are irregular, undecided or failed"),
     "gradient": Variable("", "derivative of the objective at the nominal orbit, per unit of the parameter"),
-    "map_feasible": Variable("1", "whether all requirements hold at the nominal point", np.int8, _YES_NO),
-    "front_feasible": Variable("1", "whether a feasible point was found for this limit", np.int8, _YES_NO),
+    "map_feasible": Variable("1", "whether the point of the coarse map meets all requirements", np.int8, _YES_NO),
+    "front_feasible": Variable("1", "whether a design that meets this limit was found", np.int8, _YES_NO),
 }
 """Variables whose units do not depend on the design, unlike objective, subject, map and front."""
 

@@ -148,33 +148,35 @@ RULED = {
 """Words for the numbers of lanes, samples and corners that are treated by rule, for one and for several."""
 
 STUDY_VARIABLES = {
-    "first_order": Variable("1", "share of the variance due to the parameter alone", dims=_PARAMETER),
+    "first_order": Variable("1", "share of the variance that the parameter causes alone", dims=_PARAMETER),
     "first_order_conf": Variable("1", "half-width of the confidence interval of first_order", dims=_PARAMETER),
     "total_order": Variable(
-        "1", "share of the variance due to the parameter and all its interactions", dims=_PARAMETER
+        "1", "share of the variance that the parameter causes with all its interactions", dims=_PARAMETER
     ),
     "total_order_conf": Variable("1", "half-width of the confidence interval of total_order", dims=_PARAMETER),
-    "second_order": Variable("1", "share of the variance due to the interaction of two parameters", dims=_PAIR),
+    "second_order": Variable("1", "share of the variance that the interaction of two parameters causes", dims=_PAIR),
     "second_order_conf": Variable("1", "half-width of the confidence interval of second_order", dims=_PAIR),
     "effect": Variable(
-        "", "mean at the high level minus mean at the low level, in the variable's own unit", dims=_PARAMETER
+        "", "mean of the variable at the parameter's high level minus its mean at the low level", dims=_PARAMETER
     ),
     "interaction": Variable(
-        "", "half the difference between one parameter's effects at the high and low level of the other", dims=_PAIR
+        "",
+        "half the difference between the effects of one parameter at the high and at the low level of the other",
+        dims=_PAIR,
     ),
-    "mean": Variable("", "mean over the box, in the variable's own unit", dims=_OF),
-    "std": Variable("", "standard deviation over the box, in the variable's own unit", dims=_OF),
-    "left_out": Variable("1", "number of base samples that are left out", np.int32, dims=_OF),
-    "corners_left_out": Variable(
-        "1", "number of corners of the two-level design that are left out", np.int32, dims=_OF
+    "mean": Variable("", "mean of the variable over the parameter box", dims=_OF),
+    "std": Variable("", "standard deviation of the variable over the parameter box", dims=_OF),
+    "left_out": Variable("1", "number of base samples that the indices leave out", np.int32, dims=_OF),
+    "corners_left_out": Variable("1", "number of corners that the two-level design leaves out", np.int32, dims=_OF),
+    "set_to_zero": Variable(
+        "1", "number of lanes without impacts, for which the variable is set to 0", np.int32, dims=_OF
     ),
-    "set_to_zero": Variable("1", "number of lanes without impacts, whose value is set to 0", np.int32, dims=_OF),
-    "averaged": Variable("1", "number of irregular lanes, whose means over time are used", np.int32, dims=_OF),
-    "sobol_reason": Variable("1", "why there are no Sobol indices", np.int8, REASONS, dims=_OF),
-    SHARE: Variable("1", "share of the Sobol sample's lanes with a single impact"),
-    "regime_share": Variable("1", "share of the Sobol sample's lanes in the regime", dims=("label",)),
-    "low": Variable("", "least value of the parameter, in its own unit", dims=("parameter",)),
-    "high": Variable("", "greatest value of the parameter, in its own unit", dims=("parameter",)),
+    "averaged": Variable("1", "number of irregular lanes, for which the mean over time is used", np.int32, dims=_OF),
+    "sobol_reason": Variable("1", "reason why Sobol indices are missing", np.int8, REASONS, dims=_OF),
+    SHARE: Variable("1", "share of lanes with a single impact in the Sobol sample"),
+    "regime_share": Variable("1", "share of lanes in this regime in the Sobol sample", dims=("label",)),
+    "low": Variable("", "least value of the parameter in the box", dims=("parameter",)),
+    "high": Variable("", "greatest value of the parameter in the box", dims=("parameter",)),
 }
 
 

@@ -70,31 +70,37 @@ SCHEMA = {
     "r_squared": Variable("1", "share of the rate's variance that the form explains", along=_FORM),
     "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2", along=_FORM),
     "cv_error": Variable(
-        "m s-1", "cross-validation error: each block of a log's rows predicted from the others", along=_FORM
+        "m s-1",
+        "cross-validation error: root mean square error of predictions for blocks of rows from the other blocks",
+        along=_FORM,
     ),
     "evidence_against": Variable(
-        "1", "AIC (of a log, 2 n ln(cv_error)) above the best form's; above 5.4 (sweep: 2) it is rejected", along=_FORM
+        "1",
+        "AIC (for a log 2 n ln(cv_error)) minus that of the best form; a form above 2 (log: 5.4) is rejected",
+        along=_FORM,
     ),
     "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),
     "used": Variable("1", "number of lanes that the fit used, including those at zero rate", np.int32, along=_FORM),
     "left_out": Variable(
-        *("1", "number of lanes left out: failed, irregular, outlying, or above the founder weight", np.int32),
+        *("1", "number of lanes that are left out: failed, irregular, outlying, or above the founder weight", np.int32),
         along=_FORM,
     ),
-    "reason": Variable("1", "why a coefficient is not a number", np.int8, REASONS, along=_FORM),
-    "r_squared_reason": Variable("1", "why r_squared is not a number", np.int8, REASONS, along=_FORM),
+    "reason": Variable("1", "reason why a coefficient is NaN", np.int8, REASONS, along=_FORM),
+    "r_squared_reason": Variable("1", "reason why r_squared is NaN", np.int8, REASONS, along=_FORM),
     "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS, along=_FORM),
     "onset_force": Variable("N", "mean force at the onset of penetration, eta0 D", along=_FORM),
     "onset_force_stderr": Variable("N", "standard error of onset_force", along=_FORM),
-    "founder_weight": Variable("N", "mean force above which the rate does not rise"),
+    "founder_weight": Variable("N", "mean force above which the rate of penetration does not rise"),
     "founder_weight_stderr": Variable("N", "standard error of the founder weight"),
-    "founder_fall": Variable("m s-1 N-1", "decrease of the rate per unit of mean force above the founder weight"),
+    "founder_fall": Variable(
+        "m s-1 N-1", "decrease of the rate of penetration per unit of mean force above the founder weight"
+    ),
     "founder_fall_stderr": Variable("m s-1 N-1", "standard error of founder_fall"),
     "noise_correlation": Variable("1", "correlation of the noise of neighbouring rows"),
     "data_threshold": Variable("N", "mean force at a relief of 1"),
     "data_relief": Variable("1", "relief of the lanes that were fitted", along=_LANE),
     "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted", along=_LANE),
-    "data_use": Variable("1", "how the fit treats the lane", np.int8, USES, along=_LANE),
+    "data_use": Variable("1", "treatment of the lane by the fit", np.int8, USES, along=_LANE),
 }
 """Variables of a fit over its groups, and `along` its forms or lanes. `onset_force` needs an unknown threshold."""
 

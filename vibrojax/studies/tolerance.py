@@ -184,9 +184,9 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
 
 
 SAMPLE_VARIABLES = {
-    "place": Variable("1", "position of the sample in the box", np.int8, PLACES),
-    "regime_share": Variable("1", "share of the samples in the regime"),
-    "regime_kept": Variable("1", "share of the samples whose regime is that of the nominal point"),
+    "place": Variable("1", "position of the sample in the tolerance box", np.int8, PLACES),
+    "regime_share": Variable("1", "share of the samples with this regime"),
+    "regime_kept": Variable("1", "share of the samples with the regime of the nominal point"),
     "irregular_share": Variable("1", "share of the samples whose motion is irregular, undecided or failed"),
 }
 """Variables that neither lanes nor the extremes of `QUANTITIES` have."""
@@ -268,7 +268,7 @@ def tolerance(
     **Returns:** a dataset.
 
     - Along `sample` and `start`: the variables of a sweep. Along `sample`: the parameters, and `place`, the position of
-      the sample in the box (nominal, corner, edge, interior or refined). Sample 0 is the nominal point.
+      the sample in the tolerance box (nominal, corner, edge, interior or refined). Sample 0 is the nominal point.
     - Along `start`, for variables such as period, impact velocity and rate of penetration: the extremes `NAME_least`
       and `NAME_most` over the samples in which the variable exists, and the indices `NAME_least_sample` and
       `NAME_most_sample` of the samples with these extremes (-1 if there is none).
