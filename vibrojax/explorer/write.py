@@ -56,8 +56,6 @@ def write_page(
 
         vj.write_page(vj.run_sweep("regime-map"), "regime-map.html")
 
-    The guide to the interactive page describes the content of the page.
-
     **Arguments:**
 
     - `ds`: dataset of any kind that has a picture.

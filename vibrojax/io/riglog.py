@@ -62,9 +62,8 @@ def read_log(
 ) -> pd.DataFrame:
     """Read a rig log as it was exported (CSV, LAS, WITSML, xlsx) into a table in SI units.
 
-    Rows during which the rig does not drill are dropped and counted: rows without rate, weight or rotation, with the
-    bit off the bottom, with values that no rig reaches, or with a decreasing depth. All rows of a table are kept if the
-    table has no column that only rigs record, such as a table of relief and rate_of_penetration.
+    Rows during which the rig does not drill are dropped and counted by reason. All rows are kept if the table has no
+    column that only rigs record, such as a table of relief and rate_of_penetration.
 
     **Arguments:**
 

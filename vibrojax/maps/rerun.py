@@ -67,9 +67,9 @@ def orbits(
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. A dataset without orbits lacks the initial states
-      for Newton's method, so the sweep is run again at the coordinates of the dataset. A dataset that already has
-      orbits is returned unchanged if its coordinates are still those of its sweep.
+    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. The sweep of a dataset without orbits is run
+      again, at the coordinates of the dataset. A dataset that has orbits is returned unchanged if its coordinates are
+      still those of its sweep.
 
     **Returns:** the sweep's dataset with the additional variables listed here. If the orbit of a lane was found,
     `period` and the other measures of the lane are computed on the orbit.
@@ -88,10 +88,9 @@ def orbits(
       attribute `orbits` defines it.
     - `orbit_cycles`: the minimal number of section crossings per period of the orbit, which is less than `cycles` if
       the lane is still settling on an orbit with a shorter period.
-    - `nearby_cycles`: section crossings per period of a stable orbit near an irregular or undecided lane that has not
-      reached this orbit. The value is 0 if no such orbit was found; `penetration` lacks the variable. `nearby_impacts`:
-      impacts per period of the nearby orbit. `nearby_distance`: largest distance of the lane's last section crossings
-      from the nearby orbit, in units of half the peak-to-peak ranges of the states.
+    - `nearby_cycles`: section crossings per period of a stable orbit near a lane that is irregular or undecided, or 0
+      if no such orbit was found. `nearby_impacts`: impacts per period of this nearby orbit. `nearby_distance`: distance
+      of the lane from this orbit, in units of the amplitudes. The scene `penetration` lacks these variables.
 
     **Raises:** `InputError` if the source is neither a sweep nor the dataset of a sweep, if the sweep cannot be run, or
     if the scene has neither a section nor pulses.

@@ -41,7 +41,7 @@ class FrictionLaw:
     - `mu_impact`: function of the same form for the friction coefficient mu_J under the impact force J; default: `mu`.
     - `flat_below`: function `flat_below(p)` that returns a speed [m/s] below which `mu` is constant within rounding
       error, although `mu` varies above this speed. A Taylor series at a speed below this limit does not predict `mu` at
-      higher speeds. None: the law has no such speed.
+      higher speeds.
 
     **Example:**
 

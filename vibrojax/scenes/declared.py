@@ -75,10 +75,9 @@ class Guard:
     - `function`: a function of arrays or Taylor series, `function(constants, mode, state)`, which is positive while the
       mode lasts and zero at the end of the mode.
     - `resolution`: function `resolution(constants, mode)`, which returns the magnitude up to which a value of the guard
-      counts as zero, such as a small multiple of the rounding error of a typical value.
-    - `slope_resolution`: function `slope_resolution(constants, mode, h)` for steps that start on the guard: it returns
-      the magnitude up to which the guard's first-order change over a step `h` [s] counts as zero; None: 16 times
-      `resolution`.
+      counts as zero.
+    - `slope_resolution`: function `slope_resolution(constants, mode, h)` that returns the magnitude up to which the
+      first-order change of the guard over a step `h` [s] counts as zero; None: 16 times `resolution`.
     - `is_switch`: True if the vector field jumps at the guard, as dry friction does. A smoothing stepper spreads the
       jump over a width and never reaches the guard.
 
@@ -130,8 +129,8 @@ class Section:
     phase of the forcing by one full period, at a phase other than zero. If `at` is the phase of the forcing, the
     section is stroboscopic.
 
-    If the section has a function `typical(constants)`, which returns typical magnitudes of the positions by name,
-    repeats and equilibria are detected as in a `vj.System`.
+    The function `typical(constants)` returns typical magnitudes of the positions by name; with this function, repeats
+    and equilibria are detected as in a `vj.System`.
 
     **Example:**
 

@@ -47,8 +47,8 @@ class Scene(ABC, Generic[C]):
     - `start_states`: states whose values a vector of initial conditions contains; the other states begin at zero. The
       tuple is empty for a scene with a single initial condition.
     - `measures`: the gauges (groups of measured quantities) of the scene, as objects or names.
-    - `choices`: for each option that users specify by name, a registry of values by name. If the option is a field of
-      the dataclass, as `friction` is, the field takes the registry's value. Any other option, such as `rock`, sets the
+    - `choices`: for each option that users specify by name, a registry of values by name. An option that is a field of
+      the dataclass, such as `friction`, takes the registry's value. Any other option, such as `rock`, sets the
       parameters that the value has as attributes (`threshold` and `k3`). A subclass extends the registry of its base
       class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
     - `choice_meanings`: meaning of each option that sets several parameters, for datasets along this option.

@@ -118,7 +118,7 @@ class Analysis(Settings):
     view: ClassVar[str] = "map"
     """View in the explorer: "map", "curves" (over the map of a sweep), "families", "orbits", "motion" or "plots".
 
-    The view "plots" shows only the analysis's own picture and summary.
+    The view "plots" shows only the picture and the summary.
     """
 
     def view_of(self, ds: xr.Dataset) -> str:

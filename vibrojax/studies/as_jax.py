@@ -298,14 +298,14 @@ def as_jax(
     At its first use, the function finds the orbit on which the motion from `start` settles at the parameter values
     `at`, or by default at the point of the first call. Every call continues this first orbit on the straight line to
     its point, so a result does not depend on other calls. The gradients equal those of [vibrojax.sensitivity][].
-    `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` work for the features, without the boolean
+    `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features without the boolean
     `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second derivatives are not
     available.
 
     The function is valid as long as the orbit exists, is stable, and keeps its numbers of section crossings and
     impacts, and `simulate` accepts the parameters. At other points, the function returns the values of the last valid
-    orbit on the line, located to 1e-7 of the line's length. An orbit that becomes unstable is continued, and its
-    `margin` is then positive, so that stability can be a smooth constraint. `f.reason(x)` returns the reason as text.
+    orbit on the line. An orbit that becomes unstable is continued, and its `margin` is then positive, so that stability
+    can be a smooth constraint.
 
     Orbits are computed in float64 for any type of the argument. Results have the type of the argument, at least
     float32.

@@ -56,9 +56,8 @@ def borders(
         cur = vj.borders(ds)
 
     The function continues the single-impact orbits of the sweep along the edges of the grid, and locates a vertex where
-    such an orbit ends or loses its stability. For each initial condition, curves through vertices bound the region in
-    which this initial condition leads to a stable single impact. Further curves bound the region of all stable single
-    impacts.
+    such an orbit ends or loses its stability. Curves through vertices bound the region in which an initial condition
+    leads to a stable single impact, and the region of all stable single impacts.
 
     **Arguments:**
 

@@ -307,20 +307,18 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
     Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed
-    variables of the orbit (period, forces, velocities, powers, rates). The function first simulates motions from
-    `start` at a sample of points inside the bounds. From the best of these points, the orbit is continued to all rows,
-    and SciPy's `least_squares` minimises the residuals with the derivatives of the orbits. Rows without a stable orbit
-    at the end of a search are left out. Of several searches, the result with the greatest likelihood is kept.
+    variables of the orbit (period, forces, velocities, powers, rates). From the best of several sampled motions, the
+    orbit is continued to all rows, and SciPy's `least_squares` minimises the residuals with the derivatives of the
+    orbits. Rows without a stable orbit at the end of a search are left out. Of several searches, the result with the
+    greatest likelihood is kept.
 
     The data may also be a recording of the bit's velocity over time, instead of rows or in addition to rows. The
     recording is compared with a simulated motion, whose initial state is fitted too, unless it is given.
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
-    Positive parameters are estimated by their logarithms, so an eigenvector of the Fisher information J'J represents a
-    product of powers of the parameters; the result has the relative error of each such product. The posterior is a
-    normal approximation in these logarithms, or Student's t distribution if the error of the observations is estimated
-    from the residuals.
+    Positive parameters are estimated by their logarithms, so each eigenvector of the Fisher information J'J represents
+    a product of powers of the parameters, with a relative error.
 
     **Arguments:** `source`: path of a TOML file, or a dict, with
 
@@ -330,14 +328,12 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
       be unknown too; `rate_of_penetration` is then C ln(relief).
     - `history`: a recording, as a dataset of `simulate`, a table, or the path of a CSV or NetCDF file. A recording has
       the columns `time` [s] and `v1` [m/s], the velocity of the bit relative to the drive; headers may have other
-      units, as in `v1 (mm/s)`. If the recording has columns `x1`, `x2` and `v2`, the first state is estimated from
-      these initial guesses. Instead of a recording, `[history]` may be a table with the recording as `data`, and
-      optionally `columns` (NAME = COLUMN), `window` (begin and end [s]), `start` (the state at the first sample) and
-      operating conditions. The entry `v1` in `[error]` is the standard error [m/s] of a sample.
+      units, as in `v1 (mm/s)`. Columns `x1`, `x2` and `v2` are initial guesses for the first state. The recording may
+      also be the entry `data` of a table `[history]`, which may have `columns` (NAME = COLUMN), `window` (begin and end
+      [s]), `start` (the state at the first sample) and operating conditions.
     - `[unknown]` has NAME = [low, high] for each parameter to estimate; `[prior]` has NAME = [mean, standard
       deviation]; `[error]` has NAME = standard error of a variable. If no errors are given, all values have the same
-      relative error, which is estimated from the residuals. A value that is smaller than a hundredth of its variable's
-      mean absolute value has the error of that hundredth.
+      relative error, which is estimated from the residuals.
     - `searches` (number of searches, default 3), `draws` (number of draws from the posterior, default 1000), `seed`
       (default 0), `title`.
 

@@ -334,11 +334,9 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
         best = vj.design("design.toml")
         best.isel(candidate=0)
 
-    The optimizer SLSQP begins at the best points of a coarse map and uses the derivatives of the periodic orbits.
-    Simulations then search the neighbourhood of each optimum. All candidates are simulated again from every start, at
-    all corners of the tolerance box and at 256 random points inside it. All worst values are the worst over these
-    samples, not over the whole box. If `irregular_share` is above 0, the worst values also depend on the duration of
-    the observation.
+    All candidates are simulated from every start, at all corners of the tolerance box and at 256 random points inside
+    it. Worst values are the worst over these samples, not over the whole box. If `irregular_share` is above 0, the
+    worst values also depend on the duration of the observation.
 
     **Arguments:**
 

@@ -244,14 +244,14 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
     - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has a
       `scene`, a list `of` of variables or "share_single_impact", and a table `[vary]` with NAME = [low, high] for up to
       twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number of
-      base samples, a power of two; default 256) and `seed` (default 0). A study of D parameters needs (2 D + 2) lanes
-      per base sample and start.
+      base samples, a power of two; default 256) and `seed` (default 0). D parameters need (2 D + 2) lanes per base
+      sample and start.
 
     **Returns:** a dataset over the dimensions `of`, `parameter` and `other`, the second parameter of a pair.
 
     - `first_order`: share of the variance that a parameter causes alone; `total_order`: share that it causes with all
-      its interactions; `first_order_conf`, `total_order_conf`: half-widths of the 95 % confidence intervals.
-      `second_order`: share of the variance that the interaction of two parameters causes.
+      its interactions; `second_order`: share that the interaction of two parameters causes. Names with the ending
+      `_conf` are half-widths of 95 % confidence intervals.
     - `effect`: mean of the variable at the high level of a parameter minus its mean at the low level. `interaction`:
       half the difference between the effects of a parameter at the high and at the low level of another parameter.
     - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of

@@ -63,7 +63,7 @@ def follow(
     A family begins at the given `orbit`, or at the orbit on which the motion settles if the parameter `along` has the
     value `at`. A family may also begin at the Hopf points of a family of equilibria. If the motion settles at an
     equilibrium, `follow` continues the family of equilibria. Pseudo-arclength continuation follows the family in both
-    directions, through folds and changes in the order of events, and onto the branches that begin at period doublings.
+    directions, through folds and changes in the order of events, and onto period-doubled branches.
 
     **Arguments:**
 
@@ -98,18 +98,17 @@ def follow(
     At a *grazing* point, an impact or another event appears or vanishes, except the beginning or end of a stick phase.
     For events other than impacts, `special_note` names the mode that changes. Multipliers at a special point belong to
     the side from which the point was reached, or, if orbits exist only on the side without the impact, to that side.
-    Next to a grazing impact, multipliers hold for very small perturbations only. A branch that connects two period
-    doublings is listed once.
+    Next to a grazing impact, multipliers hold for very small perturbations only.
 
-    Families of autonomous systems without events do not depend on the section: they are solved by multiple shooting,
-    with a phase condition that is updated along the family. The mirror image of an orbit counts as another orbit. An
-    orbit that does not cross the section has NaN as its state at the section.
+    Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
+    mirror image of an orbit counts as another orbit. An orbit that does not cross the section has NaN as its state at
+    the section.
 
     A family of equilibria has `cycles` 0 and `period` NaN; the states of the equilibrium replace the states at the
     section. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and `eigenvalue_im`
     [1/s] along `eigenvalue`, by decreasing real part. Special points of equilibria are *fold*, *branch-point*, *hopf*
     and *end*. If an equilibrium reaches a surface on which the vector field changes, `special_kind` is *grazing* or the
-    name of the switch. If several families are computed, a family whose first equilibrium is not found has no points.
+    name of the switch.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 

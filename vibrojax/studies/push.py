@@ -165,9 +165,9 @@ def smallest_push(
     motion settles for the time `settle`, or six times as long if it is irregular, and is observed for the time
     `observe`. A *leaving push* is one after which the motion does not return to the working cycle.
 
-    The search first tries pushes up to a bound. Further scans try pushes below the smallest leaving push so far, until
-    all these pushes return to the cycle. The interval between the smallest leaving push and the next smaller push is
-    then narrowed. The search misses holes in the basin of the cycle that are narrower than the spacing of the pushes.
+    Scans try pushes up to a bound, and then below the smallest leaving push, until no smaller leaving push is found.
+    The interval between this push and the next smaller push is then narrowed. The search misses holes in the basin of
+    the cycle that are narrower than the spacing of the pushes.
 
     **Arguments:**
 

@@ -82,9 +82,8 @@ def rig(
         vj.picture(log)
 
     With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate R [m/s] and the area A of a bit
-    of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). In field units, the
-    mechanical specific energy is 4 WOB/(pi D²) + 480 TOR RPM/(D² ROP). The percussive specific energy is the power of
-    the impacts, `impact_power`, divided by A R.
+    of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). The percussive specific
+    energy is the power of the impacts, `impact_power`, divided by A R.
 
     The founder point is the weight on the bit above which the rate does not rise; see [vibrojax.fit_rop][].
 

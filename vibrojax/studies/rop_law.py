@@ -123,10 +123,9 @@ def fit_rop(
     size and for noise proportional to the rate.
 
     A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate does not rise, the
-    forms are fitted to the rows below this weight. In logs of 30 rows or more, outlying rows are left out and listed in
-    the attribute `left_out_rows`. In logs of 50 rows or more, the noise of neighbouring rows may be correlated: a
-    jackknife over blocks of rows gives the standard errors, and the forms are compared by the cross-validation error
-    `cv_error` over these blocks.
+    forms are fitted to the rows below this weight. Logs of 30 rows or more are fitted without outlying rows, which the
+    attribute `left_out_rows` lists. In logs of 50 rows or more, a jackknife over blocks of rows gives the standard
+    errors, and the cross-validation error `cv_error` over these blocks compares the forms.
 
     **Arguments:**
 
@@ -145,13 +144,10 @@ def fit_rop(
       force at the onset of penetration.
     - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset. Over the groups and `form`: the coefficients C [m/s], eta0 [1] and exponent [1] with
-    standard errors; r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` (result of the
-    comparison of the forms) and `reason`. A coefficient is NaN if the form lacks it or the lanes do not identify it.
-    Over the groups: `founder_weight` [N] with its standard error (NaN without a founder weight), and `founder_fall`
-    [m/s/N], the decrease of the rate per unit of force above the founder weight. Over the groups and `lane`: the data
-    as data_relief [1], data_rate_of_penetration [m/s], and `data_use`. The attribute `verdict` is the form that the
-    data of all groups support, or "none"; the attribute `left_out_rows` lists outlying rows of a log.
+    **Returns:** a dataset over the groups, `form` and `lane`. Its main variables are the coefficients C [m/s], eta0 [1]
+    and exponent [1] with standard errors, and `standing`, the result of the comparison of the forms. A coefficient is
+    NaN if the form lacks it or the lanes do not identify it. The attribute `verdict` is the form that the data of all
+    groups support, or "none".
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 

@@ -252,9 +252,8 @@ def tolerance(
         box.impact_velocity_least  # m/s, the worst of the samples from each start
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
-    Each sample is simulated from every start. A search around the most extreme periodic samples, along each parameter
-    and along the signs of the gradient, adds *refined* samples. The extremes of the samples do not bound the variables
-    over the box.
+    Each sample is simulated from every start. A search around the most extreme periodic samples adds *refined* samples.
+    The extremes of the samples do not bound the variables over the box.
 
     **Arguments:**
 

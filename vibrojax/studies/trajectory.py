@@ -92,8 +92,8 @@ def simulate(
     **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], and stuck (1 while the bit
     sticks); scenes with rock also have x3, x4, v3, rock_force and applied_force [N]. Along `event`, the dataset has the
     times and kinds of events. Scalar variables, such as regime and period, describe the last part of the motion, the
-    observation. The observation takes a sixth of the duration, or half of a short duration. The attribute `run`
-    contains the settling and observation times. Datasets of a diffrax solver have neither events nor scalar variables.
+    observation. The attribute `run` contains the settling and observation times. Datasets of a diffrax solver have
+    neither events nor scalar variables.
 
     **Raises:** `InputError` if a name or value is wrong, or if the simulation would need too many steps or samples.
 
