@@ -17,8 +17,8 @@ class Moment(NamedTuple):
 
     - `since` [s]: time from the last section crossing to the end of the step.
     - `frequency` [rad/s]: angular frequency of the section crossings, 0 before the second crossing.
-    - `phase` [rad]: phase, at the end of the step, of an oscillation with this `frequency` that begins at phase 0 at
-      the first observed crossing.
+    - `phase` [rad]: phase of an oscillation with the angular frequency of the crossings, 0 at the first observed
+      crossing.
     """
 
     lane: Lane
@@ -102,7 +102,7 @@ class Gauge(ABC, Generic[K]):
         return {}
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
-        """Return values, by name, that replace the `sums` of a return interval of length `interval` [s]."""
+        """Return values, by name, that replace the sums of a return interval; `interval`: its duration [s]."""
         return {}
 
     def begin(self, scene: K, c: Any, lane: Lane) -> Any:

@@ -18,8 +18,8 @@ from vibrojax.physics.arrays import Real, Value
 def raw_force(compression: Value, rate: Value, k0: Value, c0: Value) -> Any:
     """Return k0 d + c0 d' [N] (source, eq. 5.18) for `compression` d [m] and `rate` d' [m/s].
 
-    This is the contact force while striker and bit touch; see [vibrojax.scenes][]. The function accepts arrays and
-    Taylor series.
+    The result is the contact force while striker and bit touch; see [vibrojax.scenes][]. The function accepts arrays
+    and Taylor series.
     """
     return k0 * compression + c0 * rate
 

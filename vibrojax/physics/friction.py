@@ -40,7 +40,7 @@ class FrictionLaw:
       it also receives Taylor series.
     - `mu_impact`: function of the same form for the friction coefficient mu_J under the impact force J; default: `mu`.
     - `flat_below`: function `flat_below(p)` that returns a speed [m/s] below which `mu` is constant within rounding
-      error, although `mu` varies above this speed. A Taylor series at a speed below this limit does not predict `mu` at
+      error, although `mu` varies at higher speeds. Taylor series at speeds below `flat_below` do not predict `mu` at
       higher speeds.
 
     **Example:**

@@ -101,8 +101,8 @@ class Swing(NamedTuple):
     """Names of an oscillating state, of its rate of change, and of the dataset variable for its amplitude.
 
     The amplitude is half the peak-to-peak range of the state `position`. Steps end on the turning points of the
-    position if a marker has this `velocity`. The first of the `swings` of a section that has `at` may have `velocity`
-    None, if no state is the rate of change of its position.
+    position if a marker has this `velocity`. In a section with `at`, the first swing may have the velocity None, if no
+    state is the rate of change of its position.
 
     **Example:**
 
@@ -117,17 +117,18 @@ class Swing(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """The Poincaré section: zeros of the state `at`, or by default of the `velocity` of the first swing.
+    """The Poincaré section, which is defined by zeros of a state.
 
-    The state that defines the section needs a marker; it crosses zero upwards if `rising`, else downwards. Between two
-    crossings the state must pass the level `rearm(constants)` in the other direction, so that small fluctuations about
-    zero do not count as crossings. Periodicity is checked on the positions of all `swings`, and on all their velocities
-    but the first. A position is scaled by its amplitude, and a velocity by the amplitude of the position times 2 pi
-    over the time between crossings.
+    The state is the one that the field `at` names, or by default the `velocity` of the first of the `swings`; it needs
+    a marker. The state crosses zero upwards if `rising` is True, else downwards. Between two crossings the state must
+    pass the level `rearm(constants)` in the other direction, so that small fluctuations about zero do not count as
+    crossings. Periodicity is checked on the positions of all `swings`, and on all their velocities but the first. A
+    position is scaled by its amplitude, and a velocity by the amplitude of the position times 2 pi over the time
+    between crossings.
 
     To make a periodically forced motion autonomous, add the phase of the forcing as a state. A guard must reduce the
-    phase of the forcing by one full period, at a phase other than zero. If `at` is the phase of the forcing, the
-    section is stroboscopic.
+    phase of the forcing by one full period, at a phase other than zero. A section with the phase as its state is
+    stroboscopic.
 
     The function `typical(constants)` returns typical magnitudes of the positions by name; with this function, repeats
     and equilibria are detected as in a `vj.System`.

@@ -51,7 +51,7 @@ class Scene(ABC, Generic[C]):
       the dataclass, such as `friction`, takes the registry's value. Any other option, such as `rock`, sets the
       parameters that the value has as attributes (`threshold` and `k3`). A subclass extends the registry of its base
       class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
-    - `choice_meanings`: meaning of each option that sets several parameters, for datasets along this option.
+    - `choice_meanings`: description, for datasets, of each option that sets several parameters.
     - `autonomous`: True if the equations do not depend on time.
     - `clocks`: states and guards that depend on time alone; a motion cannot graze such a guard.
     - `usual_times`: default times of settling and of the observation [s].
@@ -101,7 +101,7 @@ class Scene(ABC, Generic[C]):
 
     @abstractmethod
     def start(self, c: C, name: Start, shape: tuple[int, ...]) -> Values:
-        """Return the state at t = 0, arrays of `shape`, for an initial condition (a name or a vector)."""
+        """Return the state at t = 0 for an initial condition (a name or a vector), as arrays of the given shape."""
 
     @abstractmethod
     def mode_at(self, c: C, state: Values) -> Values:
@@ -129,7 +129,7 @@ class Scene(ABC, Generic[C]):
 
     @abstractmethod
     def rate(self, c: C, mode: Values) -> Any:
-        """Return the fastest rate of change in the mode [1/s], which determines the step length."""
+        """Return the fastest rate of change [1/s] in a mode, which determines the length of steps."""
 
     @abstractmethod
     def speed_scale(self, c: C) -> Any:

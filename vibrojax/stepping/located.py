@@ -47,7 +47,7 @@ LEAST_ORDER = 2
 class Located(Stepper):
     """The stepper that ends a step on every event, by Taylor series up to `order`.
 
-    This stepper uses the settings `stride`, `tolerance` and `step` of `Accuracy`.
+    Of the settings in `Accuracy`, the stepper `Located` uses `stride`, `tolerance` and `step`.
 
     **Example:**
 

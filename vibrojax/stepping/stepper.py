@@ -104,7 +104,7 @@ class AccuracyRequest(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The time `end` [s] until which lanes step, and a mask of the lanes that are `moving`; other lanes do not step."""
+    """The time `end` [s] until which lanes step, and a mask of the lanes that are `moving`."""
 
     end: Real
     moving: Flags
@@ -122,8 +122,8 @@ class Stepper(ABC):
       that of the main run.
     - `error_share`: ratio of the estimated error of the main run to the difference between main run and check run.
     - `smooths`: True if the stepper smooths dry friction over a width, so that the bit never sticks.
-    - `rests`: True if the stepper treats motion within rounding error as rest. Such a stepper rejects lanes that are
-      too stiff or too slow for their precision.
+    - `rests`: True if the stepper treats motion within rounding error as rest, and rejects lanes that are too stiff or
+      too slow for their precision.
 
     **Example:**
 

@@ -104,8 +104,8 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     - `scenes`: names of the scenes to measure; by default all scenes, or two scenes if `quick`.
     - `quick`: True to run only a few settings and lanes, in some seconds, as a test of the installation.
 
-    **Returns:** a dataset along `setting` with run times, errors, and failures with their reasons. The coordinates are
-    the strings `scene`, `method` and `precision`, the name `varied` of the varied quantity, and its `value`.
+    **Returns:** a dataset along `setting` with run times, errors, and failures with their reasons. Coordinates of a
+    setting are `scene`, `method`, `precision`, `varied` (name of the varied quantity) and `value` (its value).
 
     **Raises:** `InputError` for an unknown scene.
 

@@ -121,7 +121,7 @@ def attractors(
     - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
     - Over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor` and
       `named_regime`, the attractor and the regime to which the initial conditions `drive` and `stuck` of the scene
-      lead. These two initial conditions do not count in `share`.
+      lead. The named initial conditions do not count in `share`.
 
     **Raises:** `InputError` unless `source` is a sweep over a grid and `start` whose scene has a section.
 

@@ -64,9 +64,9 @@ def curves(
     """Continue the special points of families of orbits in a second parameter, as curves in a parameter plane.
 
     Each fold, period doubling, torus, grazing, stick and Hopf point is continued in both directions, until a parameter
-    reaches a bound. The first parameter keeps the bounds that the call of `follow` set. Points of codimension two are
-    located and named. Curves that begin at points of codimension two are continued as well, up to a maximum number that
-    `curve_note` states.
+    reaches a bound. The bounds of the first parameter are the bounds in the call of `follow`. Points of codimension two
+    are located and named. Curves that begin at points of codimension two are continued as well, up to a maximum number
+    that `curve_note` states.
 
     **Arguments:**
 

@@ -247,7 +247,8 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
       base samples, a power of two; default 256) and `seed` (default 0). D parameters need (2 D + 2) lanes per base
       sample and start.
 
-    **Returns:** a dataset over the dimensions `of`, `parameter` and `other`, the second parameter of a pair.
+    **Returns:** a dataset with the dimensions `of` (the variable), `parameter`, and `other` (the second parameter of a
+    pair).
 
     - `first_order`: share of the variance that a parameter causes alone; `total_order`: share that it causes with all
       its interactions; `second_order`: share that the interaction of two parameters causes. Names with the ending

@@ -133,8 +133,8 @@ def fit_rop(
       (.nc); the path of a rig log (see `read_log`); or a DataFrame with the columns of a rig log.
     - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Each combination of values
       on the other axes is a group.
-    - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
-      `along` is a column, the default is all columns except `along` and mean_force.
+    - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. By
+      default, if `along` names a column, all columns except this one and mean_force.
     - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation
       (default for a log). R² and AIC are computed from plain residuals, without this loss.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
@@ -144,10 +144,10 @@ def fit_rop(
       force at the onset of penetration.
     - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset over the groups, `form` and `lane`. Its main variables are the coefficients C [m/s], eta0 [1]
-    and exponent [1] with standard errors, and `standing`, the result of the comparison of the forms. A coefficient is
-    NaN if the form lacks it or the lanes do not identify it. The attribute `verdict` is the form that the data of all
-    groups support, or "none".
+    **Returns:** a dataset over the groups, `form` and `lane`. The main variables of a fit are the coefficients C [m/s],
+    eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the comparison of the forms. A
+    coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute `verdict` is the form that
+    the data of all groups support, or "none".
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 

@@ -55,8 +55,8 @@ class System(SystemScales):
       `s` holds the side of each switch and the discrete states by name.
     - `period`: period T of the forcing [s], a number or a function of `p`; the section of a forced system is at the
       times 0, T, ...
-    - `section`: section of a system without forcing: a function `section(t, y, p)` that rises through zero at the
-      section, the name of a state that rises through zero there, or a pair (name of a state, level). A system without
+    - `section`: for a system without forcing, a state name, a pair (state name, level), or a function
+      `section(t, y, p)`; the section is where the state or function rises through zero or the level. A system without
       `period` and `section` can be simulated but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
     - `modes`: initial value of each discrete state by name. The resets of events change discrete states, and functions
