@@ -69,7 +69,7 @@ def write_page(
     **Returns:** the path.
 
     **Raises:** `InputError` if the dataset holds nothing to show, if `over` or `sweep` does not belong to the dataset,
-    or if another program wrote the existing file at `path`. `OSError` if the file cannot be written.
+    or if another program wrote the existing file at `path`; `OSError` if the file cannot be written.
 
     **Example:**
 
@@ -100,17 +100,17 @@ def explore(
 
     - `ds`, `over`, `sweep`: as for [vibrojax.write_page][].
     - `live`: whether the notebook's kernel simulates the motion of the selected map cell, with a slider for every
-      parameter. If False, the sweep is run again, and the widget contains the motions of all lanes and works without a
-      kernel. The default is True if the scene belongs to the package.
+      parameter. If `live` is False, the sweep is run again, and the widget contains the motions of all lanes and works
+      without a kernel. By default, `live` is True if the scene belongs to the package.
 
     **Returns:** the widget. The traits `cell` (index along each axis) and `point` (value of each axis in SI units, and
-    the initial condition by name or state) describe the selected map cell. The trait `simulated` has the `parameters`
-    in SI units and the `start` of the last motion that sliders requested. The property `lane` is the dataset of the
-    selected lane.
+    the initial condition by name or state) describe the selected map cell. The trait `simulated` of the widget has the
+    `parameters` in SI units and the `start` of the last motion that sliders requested. The property `lane` of the
+    widget is the dataset of the selected lane.
 
     **Raises:** `InputError` if the dataset holds nothing to show, or if anywidget is not installed
-    (`pip install "vibrojax[widget]"`); an assignment `widget.point = ...` raises it if the axis or value does not
-    exist.
+    (`pip install "vibrojax[widget]"`); an assignment `widget.point = ...` raises `InputError` if the axis or value does
+    not exist.
 
     **Example:** (in a notebook, a line `widget` shows the page; a click selects a map cell, as `widget.point = ...`
     does)

@@ -59,11 +59,11 @@ def orbits(
 
         orb = vj.orbits(ds)
 
-    An orbit with `cycles` section crossings per period is a fixed point of the `cycles`-th iterate of the return map.
-    Newton's method finds such an orbit from the last section crossings of a lane.
+    An orbit with n section crossings per period is a fixed point of the n-th iterate of the return map. Newton's method
+    finds the orbit of a lane from the last section crossings of the lane.
 
-    In the scene `penetration` the beginning of a pulse replaces the section crossing. There, a lane is periodic if the
-    return map, iterated from the lane's last pulse, returns to the same state after 1 to 8 pulses.
+    In the scene `penetration` the beginning of a pulse replaces the section crossing. A lane of `penetration` is
+    periodic if the return map, iterated from the lane's last pulse, returns to the same state after 1 to 8 pulses.
 
     **Arguments:**
 
@@ -75,8 +75,7 @@ def orbits(
     `period` and the other measures of the lane are computed on the orbit.
 
     - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, by decreasing modulus: eigenvalues of the
-      derivative of the `cycles`-th iterate of the return map. `stable`: 1 (stable), 0 (unstable) or -1 (no
-      multipliers).
+      derivative of the n-th iterate of the return map. `stable`: 1 (stable), 0 (unstable) or -1 (no multipliers).
     - `orbit_reason`: *found*, or the reason why there is no orbit. *not-repeating*: the lane is not periodic.
       *refused*: the lane cannot be run. *not-converged*: Newton's method has not converged. *near-grazing*: the orbit
       is so close to grazing that multipliers have no meaning. *another-orbit*: the orbit is too far from the lane, has
@@ -90,7 +89,7 @@ def orbits(
       the lane is still settling on an orbit with a shorter period.
     - `nearby_cycles`: section crossings per period of a stable orbit near a lane that is irregular or undecided, or 0
       if no such orbit was found. `nearby_impacts`: impacts per period of this nearby orbit. `nearby_distance`: distance
-      of the lane from this orbit, in units of the amplitudes. The scene `penetration` lacks these variables.
+      of the lane from the nearby orbit, in units of the amplitudes.
 
     **Raises:** `InputError` if the source is neither a sweep nor the dataset of a sweep, if the sweep cannot be run, or
     if the scene has neither a section nor pulses.

@@ -29,7 +29,7 @@ class Moment(NamedTuple):
 
 
 class Return(NamedTuple):
-    """A section crossing in the lanes that the mask `here` selects; every array has shape (lanes,).
+    """A section crossing; the mask `here` marks the lanes that cross, and every array has shape (lanes,).
 
     - `number`: index of the crossing in the observation, from 0.
     - `interval` [s]: time since the previous crossing.

@@ -180,8 +180,8 @@ class HasRock(Scene[C]):
 class Driven(Scene[C]):
     """A scene under a prescribed force: pulses, or a force without pulses such as a swept sine.
 
-    If the force has pulses, the beginning of each pulse replaces the section crossing, and means are taken over
-    complete pulse periods. The attribute `pulse_states` then names the states of the return map.
+    If the force has pulses, the beginning of each pulse replaces the section crossing, means are taken over complete
+    pulse periods, and `pulse_states` names the states of the return map.
 
     **Example:**
 

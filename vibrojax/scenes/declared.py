@@ -52,10 +52,11 @@ class Mode(NamedTuple):
 
 
 class Marker(NamedTuple):
-    """An event function that is a state, mostly a velocity: steps end where it crosses zero in either direction.
+    """An event function that is a state, mostly a velocity: steps end where the state crosses zero.
 
-    At the end of such a step the state is set to zero. The field `velocity` names the state; another state of similar
-    magnitude, such as the phase of a forcing, will do. No guard may have the same zeros.
+    At the end of a step on a marker, the state of the marker is set to zero. The field `velocity` names this state,
+    which may also be another state of similar magnitude, such as the phase of a forcing. No guard may have the same
+    zeros as a marker.
 
     **Example:**
 
@@ -71,7 +72,7 @@ class Marker(NamedTuple):
 class Guard:
     """A condition that ends a mode of the scene, such as sticking.
 
-    - `name`: the guard's key in `hits`.
+    - `name`: name of the guard, and its key in `hits`.
     - `function`: a function of arrays or Taylor series, `function(constants, mode, state)`, which is positive while the
       mode lasts and zero at the end of the mode.
     - `resolution`: function `resolution(constants, mode)`, which returns the magnitude up to which a value of the guard
@@ -79,7 +80,7 @@ class Guard:
     - `slope_resolution`: function `slope_resolution(constants, mode, h)` that returns the magnitude up to which the
       first-order change of the guard over a step `h` [s] counts as zero; None: 16 times `resolution`.
     - `is_switch`: True if the vector field jumps at the guard, as dry friction does. A smoothing stepper spreads the
-      jump over a width and never reaches the guard.
+      jump at such a guard over a width of velocities.
 
     **Example:**
 
@@ -100,9 +101,9 @@ class Guard:
 class Swing(NamedTuple):
     """Names of an oscillating state, of its rate of change, and of the dataset variable for its amplitude.
 
-    The amplitude is half the peak-to-peak range of the state `position`. Steps end on the turning points of the
-    position if a marker has this `velocity`. In a section with `at`, the first swing may have the velocity None, if no
-    state is the rate of change of its position.
+    The amplitude is half the peak-to-peak range of the state `position`. If a marker has the `velocity` of the swing,
+    steps end on the turning points of its position. If the section has a state `at`, the first swing may have the
+    velocity None.
 
     **Example:**
 
@@ -119,15 +120,15 @@ class Swing(NamedTuple):
 class Section:
     """The Poincaré section, which is defined by zeros of a state.
 
-    The state is the one that the field `at` names, or by default the `velocity` of the first of the `swings`; it needs
-    a marker. The state crosses zero upwards if `rising` is True, else downwards. Between two crossings the state must
-    pass the level `rearm(constants)` in the other direction, so that small fluctuations about zero do not count as
-    crossings. Periodicity is checked on the positions of all `swings`, and on all their velocities but the first. A
-    position is scaled by its amplitude, and a velocity by the amplitude of the position times 2 pi over the time
-    between crossings.
+    The state that defines the section is `at`, or by default the `velocity` of the first of the `swings`, and needs a
+    marker. At the section, the state crosses zero upwards if `rising` is True, else downwards. Between two crossings of
+    the section the state must pass the level `rearm(constants)` in the other direction, so that small fluctuations
+    about zero do not count as crossings. Periodicity is checked on the positions of all `swings`, and on all their
+    velocities but the first. A position is scaled by its amplitude, and a velocity by the amplitude of the position
+    times 2 pi over the time between crossings.
 
     To make a periodically forced motion autonomous, add the phase of the forcing as a state. A guard must reduce the
-    phase of the forcing by one full period, at a phase other than zero. A section with the phase as its state is
+    phase of the forcing by one full period, at a phase other than zero. A section at a fixed phase of the forcing is
     stroboscopic.
 
     The function `typical(constants)` returns typical magnitudes of the positions by name; with this function, repeats

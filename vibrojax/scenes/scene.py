@@ -41,16 +41,16 @@ class Scene(ABC, Generic[C]):
 
     - `name`: name of the scene in sweep files.
     - `states`: the continuous states; `modes`: the discrete states, floats such as 0, 1, -1.
-    - `markers`: event functions; a step ends where one of these states, mostly velocities, is zero.
+    - `markers`: states, mostly velocities, at whose zeros steps end.
     - `section`: the Poincaré section; None if quantities are measured over the pulses of a prescribed force.
     - `starts`: names of the initial conditions, the default first.
-    - `start_states`: states whose values a vector of initial conditions contains; the other states begin at zero. The
-      tuple is empty for a scene with a single initial condition.
+    - `start_states`: states whose values a vector of initial conditions contains; the other states begin at zero. For a
+      scene with a single initial condition, `start_states` is empty.
     - `measures`: the gauges (groups of measured quantities) of the scene, as objects or names.
     - `choices`: for each option that users specify by name, a registry of values by name. An option that is a field of
-      the dataclass, such as `friction`, takes the registry's value. Any other option, such as `rock`, sets the
-      parameters that the value has as attributes (`threshold` and `k3`). A subclass extends the registry of its base
-      class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
+      the dataclass, such as `friction`, takes the registry's value. An option that is not a field, such as `rock`, sets
+      the parameters that are attributes of its value, such as `threshold` and `k3`. A subclass extends the registry of
+      its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
     - `choice_meanings`: description, for datasets, of each option that sets several parameters.
     - `autonomous`: True if the equations do not depend on time.
     - `clocks`: states and guards that depend on time alone; a motion cannot graze such a guard.

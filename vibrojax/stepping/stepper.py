@@ -118,8 +118,8 @@ class Stepper(ABC):
 
     - `name`: name of the stepper in sweep files.
     - `order`: order of the integration method; `degree`: degree of the polynomials that describe a step.
-    - `coarser_by`: ratio of the tolerance or smoothing width of the check run, from which the error is estimated, to
-      that of the main run.
+    - `coarser_by`: ratio between check run and main run of the tolerance or smoothing width; the error is estimated
+      from the check run.
     - `error_share`: ratio of the estimated error of the main run to the difference between main run and check run.
     - `smooths`: True if the stepper smooths dry friction over a width, so that the bit never sticks.
     - `rests`: True if the stepper treats motion within rounding error as rest, and rejects lanes that are too stiff or
@@ -158,7 +158,7 @@ class Stepper(ABC):
 
     @abstractmethod
     def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
-        """Return the settings that reach the requested error in `scene`; values that the user chose are kept."""
+        """Return the settings that reach the requested error in a scene; values that the user chose are kept."""
 
     def least_error(self, request: AccuracyRequest) -> float:
         """Return the least error tolerance that lanes can meet with the other settings in `request`; 0 if unknown."""

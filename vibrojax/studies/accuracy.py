@@ -104,8 +104,9 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     - `scenes`: names of the scenes to measure; by default all scenes, or two scenes if `quick`.
     - `quick`: True to run only a few settings and lanes, in some seconds, as a test of the installation.
 
-    **Returns:** a dataset along `setting` with run times, errors, and failures with their reasons. Coordinates of a
-    setting are `scene`, `method`, `precision`, `varied` (name of the varied quantity) and `value` (its value).
+    **Returns:** a dataset along the dimension `setting`, with run times, errors, and reasons of failures. Each setting
+    has the coordinates `scene`, `method`, `precision`, `varied` (name of the varied quantity) and `value` (value of
+    this quantity).
 
     **Raises:** `InputError` for an unknown scene.
 

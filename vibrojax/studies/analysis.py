@@ -48,8 +48,8 @@ class PictureRule(NamedTuple):
     """A rule that assigns a picture to datasets with certain contents.
 
     - `shows`: short description of the picture.
-    - `fits`: function that returns whether the rule applies to a dataset. The attributes of its argument describe the
-      dataset: the names of its `variables` and `dimensions`, its `axes`, and others.
+    - `fits`: function that returns whether the rule applies to a dataset. The argument of `fits` describes the dataset
+      by the attributes `variables`, `dimensions`, `axes` and others.
     - `draw`: function that takes the dataset and returns a matplotlib figure, or plots of
       [vibrojax.pictures.plots][], which the explorer page draws itself.
 
@@ -74,8 +74,8 @@ class Analysis(Settings):
     """An analysis: an object with settings as attributes, and with a dataset as result.
 
     A subclass of `Analysis` must define `kind` and `run`; most also define `variables`, `picture` or `pictures`, and
-    `summary`. If the subclass is a dataclass, the fields become command-line options: `along: str = "v"` becomes
-    `--along`, and `field(metadata={"help": ...})` sets the help text. Pass an instance to
+    `summary`. If the subclass of `Analysis` is a dataclass, the fields become command-line options: `along: str = "v"`
+    becomes `--along`, and `field(metadata={"help": ...})` sets the help text. Pass an instance of the subclass to
     [vibrojax.studies.analysis.analyse][], or register the class under the entry point `vibrojax.analyses`, which adds
     the command `vibrojax KIND FILE`.
 
@@ -107,7 +107,7 @@ class Analysis(Settings):
     """Name of the command, if it differs from the kind."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """Additional variables of the datasets by name, with unit, meaning, type and flags."""
+    """Variables by name that the analysis adds to its datasets, with unit, meaning, type and flags."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
     """Rules that choose the picture of a dataset; the first rule that fits applies."""
@@ -118,7 +118,7 @@ class Analysis(Settings):
     view: ClassVar[str] = "map"
     """View in the explorer: "map", "curves" (over the map of a sweep), "families", "orbits", "motion" or "plots".
 
-    The view "plots" shows only the picture and the summary.
+    The view "plots" shows only the picture and the summary of a dataset.
     """
 
     def view_of(self, ds: xr.Dataset) -> str:
@@ -133,7 +133,7 @@ class Analysis(Settings):
         raise NotImplementedError(f"{type(self).__name__}.run")
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
-        """Draw a dataset of this kind, with the datasets `over` drawn on top.
+        """Draw a dataset of this kind, and overlay the datasets in `over`.
 
         **Raises:** `InputError` if the dataset holds nothing to draw, or if overlays are given for a picture without
         overlays.
@@ -221,8 +221,8 @@ def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> 
     **Arguments:**
 
     - `source`: input of the analysis: a dataset, or a sweep as `run_sweep` accepts it.
-    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. After this call, `picture` and other
-      functions of this process accept the datasets of the analysis.
+    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. After a call of `analyse`, `picture`
+      and other functions accept the datasets of the analysis in the same process.
 
     **Returns:** the dataset, with the attribute `kind`.
 

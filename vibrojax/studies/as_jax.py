@@ -255,9 +255,9 @@ class OrbitFunction:
     def reason(self, x: Any) -> str:
         """Return why the function is not valid at `x` (parameters,), or "none" where it is valid.
 
-        The text begins with "undefined" (`x` is not a number, or the orbit lacks a feature or a derivative), "refused"
-        (`simulate` rejects `x`), "no-orbit" (there is no first orbit), "beyond-branch" (the first orbit ends on the way
-        to `x`) or "unstable".
+        The text of a reason begins with "undefined" (`x` is not a number, or the orbit lacks a feature or a
+        derivative), "refused" (`simulate` rejects `x`), "no-orbit" (there is no first orbit), "beyond-branch" (the
+        first orbit ends on the way to `x`) or "unstable".
         """
         check_untraced(Place("as_jax", "reason").error, x)
         return self._branch.reason(np.array(self._checked(np.asarray(x)), float))
@@ -295,17 +295,17 @@ def as_jax(
         f(jnp.array([0.4, 0.75]))  # {"impact_energy": ..., "margin": ..., "grazing_margin": ..., "valid": ...}
         jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
 
-    At its first use, the function finds the orbit on which the motion from `start` settles at the parameter values
-    `at`, or by default at the point of the first call. Every call continues this first orbit on the straight line to
-    its point, so a result does not depend on other calls. The gradients equal those of [vibrojax.sensitivity][].
-    `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features without the boolean
-    `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second derivatives are not
-    available.
+    The first call of the returned function finds the orbit on which the motion from `start` settles, at the parameter
+    values `at` or, by default, at the point of the call. Every further call continues the first orbit on the straight
+    line to its own point, so a result does not depend on other calls. The gradients equal the derivatives by
+    [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features
+    without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second
+    derivatives are not available.
 
-    The function is valid as long as the orbit exists, is stable, and keeps its numbers of section crossings and
-    impacts, and `simulate` accepts the parameters. At other points, the function returns the values of the last valid
-    orbit on the line. An orbit that becomes unstable is continued, and its `margin` is then positive, so that stability
-    can be a smooth constraint.
+    The returned function is valid at points that `simulate` accepts and at which the orbit exists, is stable, and keeps
+    its numbers of section crossings and impacts. At a point that is not valid, the function returns the values of the
+    last valid orbit on the line to this point. An orbit that becomes unstable is continued, and its `margin` is then
+    positive, so that stability can be a smooth constraint.
 
     Orbits are computed in float64 for any type of the argument. Results have the type of the argument, at least
     float32.
@@ -313,7 +313,8 @@ def as_jax(
     **Arguments:**
 
     - `scene`, `start`, `fixed` (SI): as in `simulate`.
-    - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order of the array.
+    - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order in which an array holds their
+      values.
     - `at`: parameter values at which the motion from `start` settles on the first orbit.
     - `outside`: result where the function is not valid: "nearest" for values and gradients of the last valid orbit, or
       "nan".

@@ -108,19 +108,19 @@ def attractors(
 
     **Returns:** a dataset.
 
-    - Over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its binomial
-      standard error `share_stderr`, an upper bound for Sobol samples; `regime`, the most frequent regime of the
-      attractor's lanes; `cycles`, the period of the attractor's orbit in returns (0 without an orbit). Where the
+    - Variables over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its
+      binomial standard error `share_stderr`, an upper bound for Sobol samples; `regime`, the most frequent regime of
+      the attractor's lanes; `cycles`, the period of the attractor's orbit in returns (0 without an orbit). Where the
       attractor does not exist, `share` is 0, and so are `regime` and `cycles`, as all undefined integers. `period`,
       `impacts` and `impact_velocity` are medians over the lanes, from the longer observation if they are irregular.
       `impact_power`, `stick_slip_index` and `specific_energy` are medians from the sweep's observation;
       `blow_frequency` follows from `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the
       section.
-    - Over the grid, `unassigned`: number of initial conditions without an attractor, because the lane failed, was
-      undecided, had not settled or did not converge, or because no orbit was found.
-    - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
-    - Over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor` and
-      `named_regime`, the attractor and the regime to which the initial conditions `drive` and `stuck` of the scene
+    - Variable over the grid, `unassigned`: number of initial conditions without an attractor, because the lane failed,
+      was undecided, had not settled or did not converge, or because no orbit was found.
+    - Variable over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
+    - Variables over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor`
+      and `named_regime`, the attractor and the regime to which the initial conditions `drive` and `stuck` of the scene
       lead. The named initial conditions do not count in `share`.
 
     **Raises:** `InputError` unless `source` is a sweep over a grid and `start` whose scene has a section.

@@ -312,8 +312,8 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     orbits. Rows without a stable orbit at the end of a search are left out. Of several searches, the result with the
     greatest likelihood is kept.
 
-    The data may also be a recording of the bit's velocity over time, instead of rows or in addition to rows. The
-    recording is compared with a simulated motion, whose initial state is fitted too, unless it is given.
+    The data may also be a recording of the bit's velocity over time, instead of rows or in addition to rows. A
+    recording is compared with a simulated motion, whose initial state is estimated too, unless it is given.
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
@@ -328,20 +328,20 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
       be unknown too; `rate_of_penetration` is then C ln(relief).
     - `history`: a recording, as a dataset of `simulate`, a table, or the path of a CSV or NetCDF file. A recording has
       the columns `time` [s] and `v1` [m/s], the velocity of the bit relative to the drive; headers may have other
-      units, as in `v1 (mm/s)`. Columns `x1`, `x2` and `v2` are initial guesses for the first state. The recording may
+      units, as in `v1 (mm/s)`. Columns `x1`, `x2` and `v2` are initial guesses for the first state. A recording may
       also be the entry `data` of a table `[history]`, which may have `columns` (NAME = COLUMN), `window` (begin and end
       [s]), `start` (the state at the first sample) and operating conditions.
     - `[unknown]` has NAME = [low, high] for each parameter to estimate; `[prior]` has NAME = [mean, standard
-      deviation]; `[error]` has NAME = standard error of a variable. If no errors are given, all values have the same
-      relative error, which is estimated from the residuals.
+      deviation]; `[error]` has NAME = standard error of a variable. If no standard errors are given, all observed
+      values have the same relative error, which is estimated from the residuals.
     - `searches` (number of searches, default 3), `draws` (number of draws from the posterior, default 1000), `seed`
       (default 0), `title`.
 
-    **Returns:** a dataset. Along `parameter`: `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to
-    `estimate_high`, and `reason`. Along `parameter` and `other`: `correlation`. Along `combination`: `direction` and
-    `direction_error`. Along `draw`: `posterior`. Along `observation`: `observed`, `predicted`, `residual`, `used` (1 or
-    0), and the `time` of samples of a recording. Along `state`: `first_state`, if it is fitted. The attribute
-    `error_model` describes the errors.
+    **Returns:** a dataset. Variables along `parameter` are `estimate`, `estimate_stderr`, the 95 % interval from
+    `estimate_low` to `estimate_high`, and `reason`. Further variables are the `correlation` of parameters, the
+    combinations `direction` with `direction_error`, draws from the `posterior`, and the estimated `first_state`.
+    Variables along `observation` are `observed`, `predicted`, `residual`, `used` (1 or 0), and the `time` of samples of
+    a recording.
 
     **Raises:** `InputError` if the input is invalid, if too few observations have an orbit, or if no search converges.
 

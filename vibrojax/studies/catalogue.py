@@ -42,11 +42,12 @@ def scene_rows() -> dict[str, dict[str, str]]:
 
 
 def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of a scene's parameters by name, including those of friction laws and alternatives such as `rpm`.
+    """Return a table of a scene's parameters, including parameters of friction laws, and alternatives such as `rpm`.
 
-    The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
-    is the range in the source and on drilling rigs; values far outside this range cause a warning. `where` is the
-    friction law or pulse shape to which the parameter belongs, and is empty if the scene always has the parameter.
+    The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. The
+    column `usual` is the range in the source and on drilling rigs; values far outside the usual range cause a warning.
+    The column `where` is the friction law or pulse shape to which the parameter belongs, and is empty if the scene
+    always has the parameter.
 
     **Raises:** `InputError` if the scene does not exist.
 
@@ -85,9 +86,9 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
 
 
 def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of the variables in datasets of a scene, by name, with `units`, `meaning` and `where`.
+    """Return a table of the variables in datasets of a scene, with units and meanings.
 
-    The column `where` is the command that adds the variable; it is empty for variables of a sweep and its orbits.
+    The column `where` names the command that adds a variable, and is empty for variables of a sweep and its orbits.
 
     **Raises:** `InputError` if the scene does not exist.
 

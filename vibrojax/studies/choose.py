@@ -49,10 +49,10 @@ def picture(
 
     - `ds`: dataset of `simulate`, of a sweep, or of an analysis.
     - `variable`: name of the variable to draw over all varied axes; or a list of up to four names (eight for a result
-      of `simulate`). A variable at the returns, such as "return_x", gives the bifurcation diagram of this state.
+      of `simulate`). The variable "return_x", a state at the returns, gives a bifurcation diagram of x.
     - `where`: value of each axis or coordinate by name, in the units of the dataset; only lanes with these values are
-      drawn. Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must agree with the dataset to four digits. At most
-      300,000 lanes are drawn.
+      drawn. Example: `{"delta": 0.005, "start": "stuck"}`. Numbers in `where` must agree with the dataset to four
+      digits. At most 300,000 lanes are drawn.
     - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
       conditions keep their colours.
     - `over`: datasets to draw on top. A result of `follow` is drawn over the section crossings of a sweep along the
@@ -117,7 +117,7 @@ def save_picture(
     diagram: str | None = None,
     width: str | float | int | None = None,
 ) -> str:
-    """Save the picture that fits a dataset to a file. The write is atomic, so a file is never incomplete.
+    """Save the picture that fits a dataset to a file. The file is written atomically, so it is never incomplete.
 
     **Arguments:**
 

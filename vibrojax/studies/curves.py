@@ -79,14 +79,14 @@ def curves(
 
     **Returns:** a dataset.
 
-    - Along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time between
-      section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
-    - Along `curve`: `kind`; `special`, the index of the special point in the family, or -1 if the curve begins at a
-      point of codimension two; `curve_note`, remarks on the first point, on the ends of the curve, and on other special
-      points on the curve.
-    - Along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
+    - Variables along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time
+      between section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
+    - Variables along `curve`: `kind`; `special`, the index of the special point in the family, or -1 if the curve
+      begins at a point of codimension two; `curve_note`, remarks on the first point, on the ends of the curve, and on
+      other special points on the curve.
+    - Variables along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
       parameters.
-    - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
+    - Variables along `crossing`, if `at` is given: `crossing_curve`, and `crossing_NAME` for both parameters.
 
     **Raises:** `InputError` for an invalid name or value.
 

@@ -335,8 +335,8 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
         best.isel(candidate=0)
 
     All candidates are simulated from every start, at all corners of the tolerance box and at 256 random points inside
-    it. Worst values are the worst over these samples, not over the whole box. If `irregular_share` is above 0, the
-    worst values also depend on the duration of the observation.
+    it. Worst values are computed over these samples, not over the whole tolerance box. If `irregular_share` is above 0,
+    the worst values also depend on the duration of the observation.
 
     **Arguments:**
 
@@ -344,13 +344,13 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
       `maximise`, `vary`, and optionally `robust`, `subject`, `tolerance`, `parameters`, `starts`, `run`, `front`,
       `title`.
 
-    **Returns:** a dataset along `candidate`, best first:
+    **Returns:** a dataset along `candidate`, in which the best candidate comes first:
 
-    - the varied parameters; `objective`, the value at the nominal point from the worst start; `objective_worst`, the
-      worst value over the samples of the tolerance box, by which robust designs are ranked; each variable of the
-      `subject` at the nominal point, and its worst value `NAME_worst`; `feasible`.
+    - Variables of each candidate: the varied parameters; `objective`, the value at the nominal point from the worst
+      start; `objective_worst`, the worst value over the tolerance box, by which robust designs are ranked; each
+      variable of the `subject` at the nominal point, and its worst value `NAME_worst`; `feasible`.
     - `gradient` along `parameter`.
-    - along `front`, if the design has a front: the varied limit, `front_objective` and the varied parameters.
+    - Variables along `front`, if the design has a front: the varied limit, `front_objective` and the varied parameters.
     - along `map`: the coarse map.
 
     **Raises:** `InputError` if the design is invalid, if no point is feasible, or if the objective is 0 at all feasible

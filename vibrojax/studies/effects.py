@@ -236,16 +236,16 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
         ds.total_order.sel(of="impact_energy").to_pandas()
 
     The study simulates Saltelli's sample of the parameter box for Sobol indices, and the corners of a two-level
-    factorial design for effects and interactions. For more than eight parameters, the factorial design is a fractional
-    one of resolution V.
+    factorial design for effects and interactions. With more than eight parameters, the study uses a fractional
+    factorial design of resolution V.
 
     **Arguments:**
 
     - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has a
-      `scene`, a list `of` of variables or "share_single_impact", and a table `[vary]` with NAME = [low, high] for up to
-      twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number of
-      base samples, a power of two; default 256) and `seed` (default 0). D parameters need (2 D + 2) lanes per base
-      sample and start.
+      `scene`, variables or "share_single_impact" in the list `of`, and up to twelve parameters NAME = [low, high] in
+      the table `[vary]`. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number of
+      base samples, a power of two; default 256) and `seed` (default 0). A study of D parameters needs (2 D + 2) lanes
+      per base sample and start.
 
     **Returns:** a dataset with the dimensions `of` (the variable), `parameter`, and `other` (the second parameter of a
     pair).
@@ -258,7 +258,7 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
     - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of
       lanes with a single impact; `regime_share`: share of lanes in each regime.
     - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners that are
-      treated by the attribute `rules`. `sobol_reason`: reason why the dataset lacks Sobol indices.
+      treated by the rules in the attribute `rules`. `sobol_reason`: reason why the dataset lacks Sobol indices.
 
     **Raises:** `InputError` if the study is invalid or SALib is not installed.
 

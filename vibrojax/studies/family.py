@@ -60,45 +60,45 @@ def follow(
 
         fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
 
-    A family begins at the given `orbit`, or at the orbit on which the motion settles if the parameter `along` has the
-    value `at`. A family may also begin at the Hopf points of a family of equilibria. If the motion settles at an
-    equilibrium, `follow` continues the family of equilibria. Pseudo-arclength continuation follows the family in both
-    directions, through folds and changes in the order of events, and onto period-doubled branches.
+    A family begins at the given `orbit`, at Hopf points of a family of equilibria, or by default at the orbit on which
+    the motion settles for `along` = `at`. If the motion settles at an equilibrium, `follow` continues the family of
+    equilibria. Pseudo-arclength continuation follows the family in both directions, through folds and changes in the
+    order of events, and onto period-doubled branches.
 
     **Arguments:**
 
-    - `scene`: name of a scene, or a scene; `parameters`: any of its parameters (SI), as in `simulate`. If parameters
-      are sequences, all of one length, one family per element is continued, along the dimension `family`.
+    - `scene`: name of a scene, or a scene; `parameters`: parameters of the scene (SI), as in `simulate`. For parameters
+      that are sequences of equal length, one family per element is continued, along the dimension `family`.
     - `along`: name of the continuation parameter; `at`: value of this parameter at the first orbit; `span`: lower and
       upper bound of this parameter, which enclose `at`.
-    - `start`: initial condition of the motion that settles on the first orbit, by default the scene's first initial
-      condition.
-    - `orbit`: a stable or unstable orbit at `at`, as `{"states": [...], "period": ...}`. The states are ordered as in
-      `start`, and belong to the beginning of a forcing period if the system is forced; the period is in seconds.
-      Newton's method corrects states and period.
-    - `from_hopf`: a family of equilibria, or its file. A branch begins at each Hopf point of this family, unless
-      another branch has led to the point. The defaults of `along`, `span` and the parameters are the values in this
-      family; `at` is not needed.
+    - `start`: initial condition of the motion that settles on the first orbit, by default the first start of the scene.
+    - `orbit`: a stable or unstable orbit for `along` = `at`, as `{"states": [...], "period": ...}`. The states are
+      ordered as in `start`, and belong to the beginning of a forcing period if the system is forced; the period is in
+      seconds. Newton's method corrects the states and the period.
+    - `from_hopf`: a family of equilibria, or its file. A branch begins at each Hopf point of the family of equilibria,
+      unless another branch has led to the point. With `from_hopf`, the defaults of `along`, `span` and the parameters
+      are the values in the family of equilibria, and `at` is not needed.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
-      The defaults are the default times of the scene.
+      By default, `settle` and `observe` are the default times of the scene.
     - `cycles`: largest number of section crossings per period on branches from period doublings, from 1 (no such
-      branches) to 8. With 0, `follow` continues equilibria; Newton's method finds the first equilibrium, stable or not,
-      from the states of `start`.
+      branches) to 8. With `cycles=0`, `follow` continues equilibria; Newton's method finds the first equilibrium,
+      stable or not, from the states of `start`.
 
     **Returns:** a dataset.
 
-    - Along `point`: the parameter, `branch` (0 is the first branch), `stable`, `grazing_margin`, and the multipliers
-      `multiplier_abs` and `multiplier_arg` [rad]. The variable `cycles` counts section crossings per period of the
-      motion, `period` [s] is the mean time between crossings, and `impacts` counts impacts per period of the motion.
-      The dataset also has the state at the section (`orbit_x1` and so on) and the measures of the scene.
-    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, branch-point, end,
-      or the name of a system's switch), the value of the parameter `special_value`, the number of the branch
-      `special_branch`, and `special_note`.
+    - Variables along `point`: the parameter, `branch` (0 is the first branch), `stable`, `grazing_margin`, and the
+      multipliers `multiplier_abs` and `multiplier_arg` [rad]. The variable `cycles` counts section crossings per period
+      of the motion, `period` [s] is the mean time between crossings, and `impacts` counts impacts per period of the
+      motion. The dataset also has the state at the section (`orbit_x1` and so on) and the measures of the scene.
+    - Variables along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf,
+      branch-point, end, or the name of a system's switch), the value of the parameter `special_value`, the number of
+      the branch `special_branch`, and `special_note`.
 
     At a *grazing* point, an impact or another event appears or vanishes, except the beginning or end of a stick phase.
-    For events other than impacts, `special_note` names the mode that changes. Multipliers at a special point belong to
-    the side from which the point was reached, or, if orbits exist only on the side without the impact, to that side.
-    Next to a grazing impact, multipliers hold for very small perturbations only.
+    For events other than impacts, `special_note` names the mode that changes. Multipliers at a special point are
+    computed on the side from which the point was reached. If orbits exist only on the side without an impact, the
+    multipliers at the special point are computed on this side. Next to a grazing impact, multipliers hold for very
+    small perturbations only.
 
     Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
     mirror image of an orbit counts as another orbit. An orbit that does not cross the section has NaN as its state at

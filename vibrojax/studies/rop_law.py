@@ -131,12 +131,12 @@ def fit_rop(
 
     - `data`: a dataset with rate_of_penetration [m/s], relief [1] and optionally regime; the path of such a dataset
       (.nc); the path of a rig log (see `read_log`); or a DataFrame with the columns of a rig log.
-    - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Each combination of values
-      on the other axes is a group.
-    - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. By
-      default, if `along` names a column, all columns except this one and mean_force.
+    - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Lanes with equal values on
+      all other axes form a group.
+    - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
+      `along` is a column, the default is all other columns except mean_force.
     - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation
-      (default for a log). R² and AIC are computed from plain residuals, without this loss.
+      (default for a log). R² and AIC are computed from residuals without the loss function.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
       {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: the median

@@ -137,27 +137,26 @@ def sensitivity(
         vj.sensitivity("vibro-impact", of=["period"], by=["beta"], start="stuck", delta=0.005)  # at one point
 
     The derivatives follow the orbit as the parameters change. The implicit function theorem gives the derivative of the
-    state s at the section, a fixed point of the return map P: ds/dp = (1 - P_s)^-1 P_p. Features are then measured over
-    one period of the orbit, with the tangent (ds/dp, dp) through all events. Unstable orbits have derivatives, too.
+    state s at the section, a fixed point of the return map P: ds/dp = (1 - P_s)^-1 P_p. The features of the orbit are
+    measured over one period, with the tangent (ds/dp, dp) through all events. Unstable orbits have derivatives, too.
 
     **Arguments:**
 
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset lacks orbits (`orbits = true`), its
       sweep is run again.
-    - Instead of a sweep, `source` can be a scene or its name. The function then differentiates the orbit on which the
-      motion from `start` settles at the point given by `parameters` (SI, as in `simulate`). A name that denotes both a
-      scene and a bundled sweep, such as "drilling", means the scene if any argument besides `by` and `progress` is
-      given.
+    - Instead of a sweep, `source` can be a scene or its name. For a scene, the function differentiates the orbit on
+      which the motion from `start` settles at the `parameters` (SI, as in `simulate`). A name that denotes both a scene
+      and a bundled sweep, such as "drilling", means the scene if any argument besides `by` and `progress` is given.
     - `by`: parameters of the scene, by default all.
     - `of`: variables to differentiate at a single point, by default all variables that vary smoothly. `settle`,
       `observe` [s]: as in a sweep.
 
-    **Returns:** a dataset over the dimensions of the sweep; for a single point, it has no such dimensions.
+    **Returns:** a dataset over the dimensions of the sweep, or without these dimensions for a single point.
 
     - All variables of the orbits that vary smoothly, such as `period`, `impact_velocity`, `impact_energy`,
       `impact_power`, `peak_impact_force`, `impact_phase`, `grazing_margin`, `multiplier_abs` along `multiplier`,
       `log_multiplier` (the natural logarithm of the largest modulus), and `rate_of_penetration` with rock.
-    - `d_VARIABLE` along `parameter`: derivative of each variable, in its unit per unit of the parameter
+    - `d_VARIABLE` along `parameter`: derivative of each variable, in the unit of the variable per unit of the parameter
       (`parameter_unit`). A derivative is NaN where its variable is not defined, such as the impact velocity without
       impacts. For a single point, `elasticity_VARIABLE` is the relative change of the variable per relative change of
       the parameter.

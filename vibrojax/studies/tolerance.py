@@ -246,7 +246,7 @@ def tolerance(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """Simulate a machine at samples of its tolerance box, and return extremes of its variables and shares of regimes.
+    """Simulate a machine at samples of its tolerance box, and return extremes of variables and shares of regimes.
 
         box = vj.tolerance("vibro-impact", beta=0.4, gamma=(0.75, 0.01), delta=(0.005, 0.001))
         box.impact_velocity_least  # m/s, the worst of the samples from each start
@@ -266,13 +266,14 @@ def tolerance(
 
     **Returns:** a dataset.
 
-    - Along `sample` and `start`: the variables of a sweep. Along `sample`: the parameters, and `place`, the position of
-      the sample in the tolerance box (nominal, corner, edge, interior or refined). Sample 0 is the nominal point.
-    - Along `start`, for variables such as period, impact velocity and rate of penetration: the extremes `NAME_least`
-      and `NAME_most` over the samples in which the variable exists, and the indices `NAME_least_sample` and
-      `NAME_most_sample` of the samples with these extremes (-1 if there is none).
-    - `regime_share` along `label` and `start`; `regime_kept`, the share of samples in the regime of the nominal point;
-      `irregular_share`. Refined samples do not count in shares.
+    - Variables along `sample` and `start`: the variables of a sweep. Variables along `sample`: the parameters, and
+      `place`, the position of the sample in the tolerance box (nominal, corner, edge, interior or refined). Sample 0 is
+      the nominal point.
+    - Variables along `start`: the extremes `NAME_least` and `NAME_most` of period, impact velocity and other variables
+      over the samples, and the indices `NAME_least_sample` and `NAME_most_sample` of the samples with the extremes (-1
+      if there is none).
+    - Shares of samples: `regime_share` along `label` and `start`; `regime_kept`, in the regime of the nominal point;
+      `irregular_share`. Refined samples do not count in shares of regimes.
     - The attribute `extremes` states how the extremes were computed.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.

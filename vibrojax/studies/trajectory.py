@@ -83,7 +83,8 @@ def simulate(
     - `duration`: simulated time [s]; by default 20 s, or 50 cycles of a `vj.System`.
     - `method`: "located" (default), "smoothed", or "diffrax".
     - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5". Specifying `solver` selects "diffrax".
-    - `error`: accepted relative error; it determines step sizes and tolerances unless `step` or `smoothing` is given.
+    - `error`: accepted relative error, which determines step sizes and tolerances unless `step` or `smoothing` is
+      given.
     - `step`: maximum step size, or the step size of the smoothed method [s].
     - `smoothing`: sliding velocity [m/s] over which the smoothed method spreads the jump of dry friction.
     - `sampling`: sampling interval [s]; by default a twentieth of the duration of an impact, or 1 ms if the scene has

@@ -42,8 +42,8 @@ DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
 class System(SystemScales):
     """A hybrid dynamical system written as plain functions; it can be used wherever a scene can.
 
-    All functions of a system take the time `t` [s], the states `y` and the parameters `p` by name. Write them with + -
-    * / ** and the functions of `vj.elementary`.
+    All functions of a system take the time `t` [s], the states `y` and the parameters `p` by name. Write functions of a
+    system with + - * / ** and the functions of `vj.elementary`.
 
     **Arguments:**
 
@@ -60,7 +60,7 @@ class System(SystemScales):
       `period` and `section` can be simulated but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
     - `modes`: initial value of each discrete state by name. The resets of events change discrete states, and functions
-      read a discrete state as `s[name]`. Datasets contain discrete states like other states.
+      read a discrete state as `s[name]`. Datasets contain discrete states in the same form as continuous states.
     - `rate`: function of `p` that returns the fastest rate of change [1/s]; by default, the spectral radius of the
       field's Jacobian at the initial state.
     - `regimes`: the system's own names of regimes, such as `{"periodic": "rocking"}`.
