@@ -17,8 +17,7 @@ class Moment(NamedTuple):
 
     - `since` [s]: time from the last section crossing to the end of the step.
     - `frequency` [rad/s]: angular frequency of the section crossings, 0 before the second crossing.
-    - `phase` [rad]: phase of an oscillation with the angular frequency of the crossings, 0 at the first observed
-      crossing.
+    - `phase` [rad]: phase since the first observed section crossing, at the angular frequency `frequency`.
     """
 
     lane: Lane

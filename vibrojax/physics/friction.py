@@ -38,7 +38,8 @@ class FrictionLaw:
       `speed` >= 0 [m/s]; `p` has the law's own parameters by name. The limit `mu(0, p)` sets the greatest friction
       force on a sticking bit. Write `mu` with +, -, *, / and the functions of [vibrojax.physics.elementary][], because
       it also receives Taylor series.
-    - `mu_impact`: function of the same form for the friction coefficient mu_J under the impact force J; default: `mu`.
+    - `mu_impact`: function `mu_impact(speed, p)` that returns the friction coefficient mu_J under the impact force J;
+      default: `mu`.
     - `flat_below`: function `flat_below(p)` that returns a speed [m/s] below which `mu` is constant within rounding
       error, although `mu` varies at higher speeds. Taylor series at speeds below `flat_below` do not predict `mu` at
       higher speeds.

@@ -94,8 +94,8 @@ def attractors(
 
         att = vj.attractors(ds)
 
-    Two periodic lanes of a grid point have the same motion if their orbits are equal; two irregular lanes do if their
-    statistics over a longer observation agree, within the resolution in the attribute `attractors`.
+    Two periodic lanes of a grid point have the same motion if their orbits are equal; two irregular lanes have the same
+    motion if their statistics over a longer observation agree, within the resolution in the attribute `attractors`.
 
     Motions at neighbouring grid points belong to one attractor if continuation from one point to the other turns the
     first orbit into the second. Attractor 0 has the greatest fraction over the grid. The numbers of the attractors do
