@@ -80,8 +80,7 @@ def orbits(
       *refused*: the lane cannot be run. *not-converged*: Newton's method has not converged. *near-grazing*: the orbit
       is so close to grazing that multipliers have no meaning. *another-orbit*: the orbit is too far from the lane, has
       another number of impacts, is unstable, or is not confirmed by a simulation.
-    - `error_estimate`: infinite for a lane near an unstable orbit. The search finds an unstable orbit only if the lane
-      stays on this orbit, for example by an exact symmetry.
+    - `error_estimate`: infinite for a lane near an unstable orbit.
     - `orbit_residual`: the largest scaled difference between the image of a state under the return map and the next
       state of the orbit. `grazing_margin`: the distance of the orbit from a change in the order of events, as the
       attribute `orbits` defines it.

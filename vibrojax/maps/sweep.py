@@ -46,8 +46,7 @@ class Sweep:
     - `points`: columns (points,) of the table of points that replaces a grid.
     - `run`: settings of the run.
 
-    Fixed values of `rpm` and `bit_radius` are converted to `v` in `parameters`. If `rpm` or `bit_radius` varies, `v` is
-    computed for each lane, and is in neither `parameters` nor `axes`.
+    Fixed values of `rpm` and `bit_radius` are converted to `v` in `parameters`.
     """
 
     name: str

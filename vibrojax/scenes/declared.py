@@ -122,10 +122,10 @@ class Section:
 
     The state that defines the section is `at`, or by default the `velocity` of the first of the `swings`, and needs a
     marker. At the section, the state crosses zero upwards if `rising` is True, else downwards. Between two crossings of
-    the section the state must pass the level `rearm(constants)` in the other direction, so that small fluctuations
-    about zero do not count as crossings. Periodicity is checked on the positions of all `swings`, and on all their
-    velocities but the first. A position is scaled by its amplitude, and a velocity by the amplitude of the position
-    times 2 pi over the time between crossings.
+    the section the state must pass the level `rearm(constants)` in the other direction, so that fluctuations about zero
+    do not count. Periodicity is checked on the positions of all `swings`, and on all their velocities but the first. A
+    position is scaled by its amplitude, and a velocity by the amplitude of the position times 2 pi over the time
+    between crossings.
 
     To make a periodically forced motion autonomous, add the phase of the forcing as a state. A guard must reduce the
     phase of the forcing by one full period, at a phase other than zero. A section at a fixed phase of the forcing is

@@ -317,9 +317,6 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
-    Positive parameters are estimated by their logarithms, so each eigenvector of the Fisher information J'J represents
-    a product of powers of the parameters, with a relative error.
-
     **Arguments:** `source`: path of a TOML file, or a dict, with
 
     - `scene`, `start`, `[parameters]`: as in `simulate`.

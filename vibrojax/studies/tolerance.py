@@ -274,7 +274,6 @@ def tolerance(
       if there is none).
     - Shares of samples: `regime_share` along `label` and `start`; `regime_kept`, in the regime of the nominal point;
       `irregular_share`. Refined samples do not count in shares of regimes.
-    - The attribute `extremes` states how the extremes were computed.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
 
