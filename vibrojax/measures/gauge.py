@@ -17,7 +17,7 @@ class Moment(NamedTuple):
 
     - `since` [s]: time from the last section crossing to the end of the step.
     - `frequency` [rad/s]: angular frequency of the section crossings, 0 before the second crossing.
-    - `phase` [rad]: phase since the first observed section crossing, at the angular frequency `frequency`.
+    - `phase` [rad]: phase since the first observed section crossing, at the angular frequency of the crossings.
     """
 
     lane: Lane

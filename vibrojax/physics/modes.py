@@ -41,9 +41,9 @@ def uncoupled_frequencies(p: Numbers) -> tuple[Any, Any]:
 def natural_frequencies(p: Numbers, xp: Any = jnp) -> Float[Array, "*lanes 2"]:
     """Return the two undamped natural frequencies [rad/s] (source, eq. 5.16).
 
-    The last axis of the result has length 2; the lower frequency comes first. The frequencies are the roots of w⁴ - w²
-    (w1² + w2² (1 + beta)) + w1² w2² = 0. The equation for w follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and m2 x2'' =
-    -k2 (x2 - x1). `xp`: the array library, jax.numpy or numpy.
+    The last axis of the result has length 2; the lower frequency comes first. The frequencies w are the roots of w⁴ -
+    w² (w1² + w2² (1 + beta)) + w1² w2² = 0. The equation for w follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and m2 x2''
+    = -k2 (x2 - x1). `xp`: the array library, jax.numpy or numpy.
     """
     w1_squared = p["k1"] / p["m1"]
     w2_squared = w1_squared * p["gamma"] ** 2

@@ -63,10 +63,10 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     for choice, parameters in choices.items():
         groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
     for name, parameter in substitutes(names.parameters).items():
-        where = f"{'rpm with bit_radius ' * (name in ROTATION)}in place of {REPLACED[name]}"
+        where = f"{'rpm and bit_radius ' * (name in ROTATION)}in place of {REPLACED[name]}"
         if name == "bit_radius" and isinstance(names.system, HasRock):
             parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
-            where = "for specific_energy; with rpm in place of v"
+            where = "for specific_energy, or with rpm in place of v"
         groups.append((where, [parameter]))
     rows = [
         {

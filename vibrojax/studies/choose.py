@@ -55,8 +55,9 @@ def picture(
       digits. At most 300,000 lanes are drawn.
     - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
       conditions keep their colours.
-    - `over`: datasets to draw on top. A result of `follow` is drawn over the section crossings of a sweep along the
-      same parameter, with or without `carry`. A result of `borders` or `curves` is drawn over a map of regimes.
+    - `over`: datasets to draw on top of the picture. A result of `follow` is drawn over the section crossings of a
+      sweep along the same parameter, with or without `carry`. A result of `borders` or `curves` is drawn over a map of
+      regimes.
     - `diagram`: name of a diagram, in place of the default picture. The diagram "campbell" shows the frequencies of a
       sweep's motions, the natural frequencies and the multiples of the rotation frequency over the speed.
       "rate-over-force" draws the rate of penetration over the mean force, and "chart" draws the region of the robust

@@ -335,8 +335,8 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
         best.isel(candidate=0)
 
     All candidates are simulated from every start, at all corners of the tolerance box and at 256 random points inside
-    it. Worst values are computed over these samples, not over the whole tolerance box. If `irregular_share` is above 0,
-    the worst values also depend on the duration of the observation.
+    it. Worst values are computed over the simulated samples, not over the whole tolerance box. If `irregular_share` is
+    above 0, the worst values also depend on the duration of the observation.
 
     **Arguments:**
 

@@ -68,7 +68,7 @@ SCHEMA = {
     "exponent": Variable("1", "exponent of the relief", along=_FORM),
     "exponent_stderr": Variable("1", "standard error of the exponent", along=_FORM),
     "r_squared": Variable("1", "share of the rate's variance that the form explains", along=_FORM),
-    "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2", along=_FORM),
+    "aic": Variable("1", "Akaike criterion n ln(RSS/n) + 2k of n lanes and k coefficients, RSS in m2 s-2", along=_FORM),
     "cv_error": Variable(
         "m s-1",
         "cross-validation error: root mean square error of predictions for blocks of rows from the other blocks",
@@ -76,7 +76,7 @@ SCHEMA = {
     ),
     "evidence_against": Variable(
         "1",
-        "AIC (for a log 2 n ln(cv_error)) minus that of the best form; a form above 2 (log: 5.4) is rejected",
+        "AIC (log: 2 n ln(cv_error)) minus the value of the best form; above 2 (log: 5.4), a form is rejected",
         along=_FORM,
     ),
     "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),
@@ -144,10 +144,10 @@ def fit_rop(
       force at the onset of penetration.
     - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset over the groups, `form` and `lane`. The main variables of a fit are the coefficients C [m/s],
-    eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the comparison of the forms. A
-    coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute `verdict` is the form that
-    the data of all groups support, or "none".
+    **Returns:** a dataset with the groups, `form` and `lane` as dimensions. The main variables of a fit are the
+    coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the comparison
+    of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute `verdict` is
+    the form that the data of all groups support, or "none".
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 
