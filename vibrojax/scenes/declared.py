@@ -131,8 +131,8 @@ class Section:
     phase of the forcing by one full period, at a phase other than zero. A section at a fixed phase of the forcing is
     stroboscopic.
 
-    The function `typical(constants)` returns typical magnitudes of the positions by name; with this function, repeats
-    and equilibria are detected as in a `vj.System`.
+    If `typical(constants)` returns typical magnitudes of the positions by name, repeats are detected as in a
+    `vj.System`.
 
     **Example:**
 

@@ -166,8 +166,7 @@ def smallest_push(
     *leaving push* is a push after which the motion does not return to the working cycle.
 
     Scans try pushes up to a bound, and then below the smallest leaving push, until no smaller leaving push is found.
-    The interval between the smallest leaving push and the next smaller push is then narrowed. The search misses holes
-    in the basin of the cycle that are narrower than the spacing of the pushes.
+    The interval between the smallest leaving push and the next smaller push is then narrowed.
 
     **Arguments:**
 

@@ -185,7 +185,7 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
 
 SAMPLE_VARIABLES = {
     "place": Variable("1", "position of the sample in the tolerance box", np.int8, PLACES),
-    "regime_share": Variable("1", "share of the samples with this regime"),
+    "regime_share": Variable("1", "share of the samples in each regime"),
     "regime_kept": Variable("1", "share of the samples with the regime of the nominal point"),
     "irregular_share": Variable("1", "share of the samples whose motion is irregular, undecided or failed"),
 }
