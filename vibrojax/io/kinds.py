@@ -95,9 +95,7 @@ OF_FAMILIES: dict[str, Variable] = {
 
 OF_BORDERS: dict[str, Variable] = {
     "curve": Variable("1", "number of the curve on which the vertex lies", np.int32),
-    "kind": Variable(
-        "1", "reason why the region of the stable single impact ends at this curve", np.int8, BORDER_KINDS
-    ),
+    "kind": Variable("1", "reason why the region of the stable single impact ends at the curve", np.int8, BORDER_KINDS),
     "region_area": Variable("1", "share of the plane with a stable single impact"),
     "continued": Variable(
         "1", "1 if the curve was computed by continuation, 0 if it joins points between grid points", np.int8

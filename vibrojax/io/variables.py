@@ -120,7 +120,7 @@ VARIABLES: dict[str, Variable] = {
     "check_regime": Variable("1", "regime in the coarser check run", np.int8, REGIMES),
     "hidden_motion": Variable(
         "1",
-        "whether another start at this point leads to a different motion with the same regime",
+        "whether another start at the same point leads to a different motion of the same regime",
         np.int8,
         ("none", "another"),
     ),

@@ -45,7 +45,7 @@ def restitution(xi: Real) -> Any:
 
     The mass leaves the stop when the contact force is zero. The ratio is R = exp(-2 xi acos(xi)/sqrt(1 - xi²)), eq. 5.8
     of the source with its root read as sqrt(1 - xi²). For xi > 1, acosh(xi)/sqrt(xi² - 1) replaces acos(xi)/sqrt(1 -
-    xi²). At xi = 1 both formulas tend to exp(-2) and meet smoothly.
+    xi²). At xi = 1 the formulas for weak and strong damping tend to exp(-2) and meet smoothly.
 
     **Arguments:** `xi` >= 0, any shape.
     """

@@ -89,9 +89,9 @@ setattr(greater, "__name__", "maximum")  # noqa: B010 (a type checker does not k
 def maximum(x: Any, y: Any) -> Any:
     """Return the greater of two values.
 
-    In a `vj.System`, a step ends where the other argument becomes greater. Outside of a `vj.System`, pass a Taylor
-    series as the first argument; the result for the whole step is then the argument that is greater at the start of the
-    step.
+    In a `vj.System`, a step ends where the smaller argument becomes the greater one. Outside of a `vj.System`, pass a
+    Taylor series as the first argument; the result for the whole step is then the argument that is greater at the start
+    of the step.
     """
     active = BRANCHES.get()
     return greater(x, y) if active is None else active.maximum(x, y)

@@ -27,8 +27,8 @@ Coefficient = Callable[[Any, Numbers], Any]
 class FrictionLaw:
     """A dry-friction law with the force sgn(u) (mu(|u|) m1 g + mu_J(|u|) J) at sliding velocity u.
 
-    Pass your own law as the argument `friction` of `simulate`, or as this parameter of a sweep. Friction laws compare
-    by identity, as compiled programs require.
+    Pass your own law to `simulate` or to a sweep as the parameter `friction`. Friction laws compare by identity, as
+    compiled programs require.
 
     **Arguments:**
 

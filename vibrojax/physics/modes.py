@@ -67,11 +67,11 @@ def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
 def linearised(p: Numbers, friction_slope: Value) -> Float[Array, "4 4"]:
     """Return the system matrix of the motion linearised about steady sliding (source, eq. 5.15).
 
-    **Arguments:** `p`: scalar parameters; `friction_slope` [N s/m]: dF/du at the drive speed. A negative slope means
-    that friction feeds energy into the vibration.
+    **Arguments:** `p`: scalar parameters; `friction_slope` [N s/m]: dF/du at the drive speed. If `friction_slope` is
+    negative, friction feeds energy into the vibration.
 
-    **Returns:** an array (4, 4) for the state (x1, x1', x2, x2'). The eigenvalues of this array have the growth rates
-    [1/s] of the modes as real parts, and their frequencies [rad/s] as imaginary parts.
+    **Returns:** an array (4, 4) for the state (x1, x1', x2, x2'). The eigenvalues of the system matrix have the growth
+    rates [1/s] of the modes as real parts, and the frequencies [rad/s] of the modes as imaginary parts.
     """
     m1, k1, c2 = p["m1"], p["k1"], p["c2"]
     m2, k2 = striker(p)

@@ -54,8 +54,8 @@ class Mode(NamedTuple):
 class Marker(NamedTuple):
     """An event function that is a state, mostly a velocity: steps end where the state crosses zero.
 
-    At the end of a step on a marker, the state of the marker is set to zero. The field `velocity` names this state,
-    which may also be another state of similar magnitude, such as the phase of a forcing. No guard may have the same
+    At the end of a step on a marker, the state of the marker is set to zero. The field `velocity` of a marker names its
+    state: a velocity, or another state of similar magnitude, such as the phase of a forcing. No guard may have the same
     zeros as a marker.
 
     **Example:**
@@ -80,7 +80,7 @@ class Guard:
     - `slope_resolution`: function `slope_resolution(constants, mode, h)` that returns the magnitude up to which the
       first-order change of the guard over a step `h` [s] counts as zero; None: 16 times `resolution`.
     - `is_switch`: True if the vector field jumps at the guard, as dry friction does. A smoothing stepper spreads the
-      jump at such a guard over a width of velocities.
+      jump of the field over a width of velocities.
 
     **Example:**
 

@@ -53,9 +53,9 @@ class Scene(ABC, Generic[C]):
       its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
     - `choice_meanings`: description, for datasets, of each option that sets several parameters.
     - `autonomous`: True if the equations do not depend on time.
-    - `clocks`: states and guards that depend on time alone; a motion cannot graze such a guard.
+    - `clocks`: states and guards that depend on time alone, and so cannot be grazed.
     - `usual_times`: default times of settling and of the observation [s].
-    - `ends_at_once`: True if the guard of a new mode may already be negative; this mode then ends immediately.
+    - `ends_at_once`: True if a mode may begin with a negative guard, so that it ends immediately.
     - `fault_reasons`: reasons for which a mode can fail, among the flags of the variable `reason`.
     - `drifting`: states that grow without bound and do not affect other states; the return map leaves these states out.
     - `redundant`: states that the method `on_surfaces` computes from the other states.

@@ -68,13 +68,12 @@ def borders(
 
     **Returns:** a dataset.
 
-    - Variables along `vertex`, in order on each curve: both parameters, and the number `curve` of the curve.
+    - Variables along `vertex`, in order on each curve: both parameters, and `curve`, a number for each curve.
     - Variables along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and
-      the values of the sweep's other axes.  Beyond a *basin* border the orbit exists, but the initial condition no
+      the values of the sweep's other axes. Beyond a *basin* border the orbit exists, but the initial condition no
       longer leads to this orbit; beyond a *not-settled* border, the motion had not settled. The flag `continued` is 1
-      if continuation computed the curve, beginning at `seed_NAME` of both parameters, else 0. The text `curve_note`
-      states why the curve ends, or why it was not continued. The attribute `begun_from` describes the grid of the
-      sweep.
+      if the curve was continued from the point `seed_NAME`, else 0. The text `curve_note` states why the curve ends, or
+      why it was not continued. The attribute `begun_from` describes the grid of the sweep.
     - Variables along `crossing`, if `at` is given: `crossing_curve`, and `crossing_NAME` for both parameters.
     - Variables along `region`: `region_area`, the fraction of the plane with a stable single impact, with the
       coordinates `region_start` and so on. Variable along `region` and `cell`: `region_stable`, which is 1 at the grid

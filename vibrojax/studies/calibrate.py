@@ -335,8 +335,8 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
       (default 0), `title`.
 
     **Returns:** a dataset. Variables along `parameter` are `estimate`, `estimate_stderr`, the 95 % interval from
-    `estimate_low` to `estimate_high`, and `reason`. Further variables are the `correlation` of parameters, the
-    combinations `direction` with `direction_error`, draws from the `posterior`, and the estimated `first_state`.
+    `estimate_low` to `estimate_high`, and `reason`. Further variables are the `correlation` of parameters, combinations
+    of parameters (`direction`) with their errors, draws from the `posterior`, and the estimated `first_state`.
     Variables along `observation` are `observed`, `predicted`, `residual`, `used` (1 or 0), and the `time` of samples of
     a recording.
 

@@ -46,7 +46,7 @@ DESIGN_VARIABLES = {
     "irregular_share": Variable("1", "share of lanes in the tolerance box that are irregular, undecided or failed"),
     "gradient": Variable("", "derivative of the objective at the nominal orbit, per unit of the parameter"),
     "map_feasible": Variable("1", "whether the point of the coarse map meets all requirements", np.int8, _YES_NO),
-    "front_feasible": Variable("1", "whether a design that meets this limit was found", np.int8, _YES_NO),
+    "front_feasible": Variable("1", "whether a design within the limit was found", np.int8, _YES_NO),
 }
 """Variables whose units do not depend on the design, unlike objective, subject, map and front."""
 

@@ -125,7 +125,7 @@ def fit_rop(
     A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate does not rise, the
     forms are fitted to the rows below this weight. Logs of 30 rows or more are fitted without outlying rows, which the
     attribute `left_out_rows` lists. In logs of 50 rows or more, a jackknife over blocks of rows gives the standard
-    errors, and the cross-validation error `cv_error` over these blocks compares the forms.
+    errors, and the cross-validation error `cv_error` compares the forms.
 
     **Arguments:**
 

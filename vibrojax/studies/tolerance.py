@@ -252,8 +252,8 @@ def tolerance(
         box.impact_velocity_least  # m/s, the worst of the samples from each start
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
-    Each sample is simulated from every start. A search around the most extreme periodic samples adds *refined* samples.
-    The extremes of the samples do not bound the variables over the box.
+    Each sample is simulated from every start. A search around the most extreme periodic samples adds samples
+    (*refined*). The extremes of the samples do not bound the variables over the box.
 
     **Arguments:**
 
@@ -273,7 +273,7 @@ def tolerance(
       over the samples, and the indices `NAME_least_sample` and `NAME_most_sample` of the samples with the extremes (-1
       if there is none).
     - Shares of samples: `regime_share` along `label` and `start`; `regime_kept`, in the regime of the nominal point;
-      `irregular_share`. Refined samples do not count in shares of regimes.
+      `irregular_share`. Samples that the search adds do not count in shares of regimes.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
 

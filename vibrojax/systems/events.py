@@ -35,8 +35,8 @@ class Impact:
       and discrete states by name; in `reset(t, y, p, s)`, `s` holds the sides of switches and the discrete states. A
       stop with a `reset` cannot hold a body at rest: a lane whose bounces accumulate fails.
     - `direction`: for a stop with a `reset`, the direction in which the gap crosses zero at the event: -1 (falling) or
-      1 (rising). With a `direction`, the gap may have both signs, and nothing happens when it crosses zero in the other
-      direction.
+      1 (rising). With a `direction`, the gap may have both signs, and nothing happens when the gap crosses zero in the
+      opposite direction.
 
     If the field pushes the body against the stop, a bounce slower than 2.4e-7 of a typical speed ends in rest on the
     stop. The body stays at rest until the field points away from the stop.

@@ -40,7 +40,7 @@ DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
 
 
 class System(SystemScales):
-    """A hybrid dynamical system written as plain functions; it can be used wherever a scene can.
+    """A hybrid dynamical system written as plain functions, which can replace any scene.
 
     All functions of a system take the time `t` [s], the states `y` and the parameters `p` by name. Write functions of a
     system with + - * / ** and the functions of `vj.elementary`.
