@@ -11,7 +11,7 @@ from vibrojax.lazy import pd
 from vibrojax.maps.starts import VECTOR, examples
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
+from vibrojax.physics.parameters import REPLACED, Parameter, substitutes
 from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import SCENES, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.scenes.penetration import PULSE_SHAPES
@@ -63,7 +63,8 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     for choice, parameters in choices.items():
         groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
     for name, parameter in substitutes(names.parameters).items():
-        where = f"{'rpm and bit_radius ' * (name in ROTATION)}in place of {REPLACED[name]}"
+        partner = {"rpm": "with bit_radius, ", "bit_radius": "with rpm, "}.get(name, "")
+        where = f"{partner}in place of {REPLACED[name]}"
         if name == "bit_radius" and isinstance(names.system, HasRock):
             parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
             where = "for specific_energy, or with rpm in place of v"
