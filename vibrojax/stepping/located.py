@@ -64,6 +64,7 @@ class Located(Stepper):
     # The error is of order 10/9 in the tolerance, so a fraction of 10^(-10/9) = 0.08 would be expected. With 0.4, the
     # estimate is an upper bound for 95 % of periodic lanes.
     error_share = 0.4
+    check_settles = 0.0
     rests = True
 
     def __post_init__(self) -> None:

@@ -121,6 +121,8 @@ class Stepper(ABC):
     - `coarser_by`: ratio between check run and main run of the tolerance or smoothing width; the error is estimated
       from the check run.
     - `error_share`: ratio of the estimated error of the main run to the difference between main run and check run.
+    - `check_settles`: additional settling time of the check run of a settled lane, as a fraction of the lane's settling
+      time. If it is zero, the check run is extrapolated from its returns, so main run and check run must be close.
     - `smooths`: True if the stepper smooths dry friction over a width, so that the bit never sticks.
     - `rests`: True if the stepper treats motion within rounding error as rest, and rejects lanes that are too stiff or
       too slow for their precision.
@@ -142,6 +144,7 @@ class Stepper(ABC):
     order: int
     coarser_by: ClassVar[float]
     error_share: ClassVar[float]
+    check_settles: ClassVar[float] = 0.5
     smooths: ClassVar[bool] = False
     rests: ClassVar[bool] = False
 
