@@ -68,8 +68,8 @@ def write_page(
 
     **Returns:** the path.
 
-    **Raises:** `InputError` if the dataset holds nothing to show, if `over` or `sweep` does not belong to the dataset,
-    or if another program wrote the existing file at `path`; `OSError` if the file cannot be written.
+    **Raises:** `InputError` if the dataset holds nothing to show, if the overlay or the sweep does not belong to the
+    dataset, or if another program wrote the existing file at `path`; `OSError` if the file cannot be written.
 
     **Example:**
 

@@ -133,7 +133,7 @@ class Analysis(Settings):
         raise NotImplementedError(f"{type(self).__name__}.run")
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
-        """Draw a dataset of this kind, and overlay the datasets in `over`.
+        """Draw a dataset of this kind; `over`: datasets that are drawn on top.
 
         **Raises:** `InputError` if the dataset holds nothing to draw, or if overlays are given for a picture without
         overlays.

@@ -295,12 +295,11 @@ def as_jax(
         f(jnp.array([0.4, 0.75]))  # {"impact_energy": ..., "margin": ..., "grazing_margin": ..., "valid": ...}
         jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
 
-    The first call of the returned function finds the orbit on which the motion from `start` settles, at the parameter
-    values `at` or, by default, at the point of the call. Every further call continues the first orbit on the straight
-    line to its own point, so a result does not depend on other calls. The gradients equal the derivatives by
-    [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features
-    without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second
-    derivatives are not available.
+    The first call of the returned function finds the orbit on which the motion settles, at the point of the call or at
+    the point given as `at`. Every further call continues the first orbit on the straight line to its own point, so a
+    result does not depend on other calls. The gradients equal the derivatives by [vibrojax.sensitivity][]. `jax.grad`,
+    `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features without the boolean `valid`:
+    `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second derivatives are not available.
 
     The returned function is valid at points that `simulate` accepts and at which the orbit exists, is stable, and keeps
     its numbers of section crossings and impacts. At a point that is not valid, the function returns the values of the
@@ -319,8 +318,8 @@ def as_jax(
     - `outside`: result where the function is not valid: "nearest" for values and gradients of the last valid orbit, or
       "nan".
 
-    **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features in `of`, `margin`,
-    `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
+    **Returns:** a function of an array (parameters,), which returns a dict of scalars: the requested features,
+    `margin`, `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
     multipliers, and is negative if the orbit is stable. `grazing_margin` is the distance of the orbit from a change in
     the order of events. Features and their gradients are NaN if no motion from `start` is periodic at the first point
     or near it, or if the orbit lacks the feature, such as the impact velocity without impacts. Pickling the function

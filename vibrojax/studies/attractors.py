@@ -103,8 +103,8 @@ def attractors(
 
     **Arguments:**
 
-    - `source`: dataset of a sweep over `start`, or a sweep as `run_sweep` accepts it. The sweep is run again if its
-      dataset lacks orbits. If the sweep has `lyapunov = true`, irregular lanes that had not settled are left out.
+    - `source`: dataset of a sweep with several starts, or a sweep as `run_sweep` accepts it. The sweep is run again if
+      its dataset lacks orbits. If the sweep has `lyapunov = true`, irregular lanes that had not settled are left out.
 
     **Returns:** a dataset.
 
@@ -123,7 +123,7 @@ def attractors(
       and `named_regime`, the attractor and the regime to which the initial conditions `drive` and `stuck` of the scene
       lead. The named initial conditions do not count in `share`.
 
-    **Raises:** `InputError` unless `source` is a sweep over a grid and `start` whose scene has a section.
+    **Raises:** `InputError` unless the source is a sweep over a grid and several starts, of a scene with a section.
 
     **Example:**
 

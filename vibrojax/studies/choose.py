@@ -51,8 +51,8 @@ def picture(
     - `variable`: name of the variable to draw over all varied axes; or a list of up to four names (eight for a result
       of `simulate`). The variable "return_x", a state at the returns, gives a bifurcation diagram of x.
     - `where`: value of each axis or coordinate by name, in the units of the dataset; only lanes with these values are
-      drawn. Example: `{"delta": 0.005, "start": "stuck"}`. Numbers in `where` must agree with the dataset to four
-      digits. At most 300,000 lanes are drawn.
+      drawn. Example: `{"delta": 0.005, "start": "stuck"}`. Selected values must agree with the dataset to four digits.
+      At most 300,000 lanes are drawn.
     - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
       conditions keep their colours.
     - `over`: datasets to draw on top of the picture. A result of `follow` is drawn over the section crossings of a
@@ -68,7 +68,7 @@ def picture(
     **Returns:** a figure that pyplot does not manage.
 
     **Raises:** `InputError` if the dataset holds nothing to draw, if a variable, axis, value or colour map does not
-    exist, or if `over` cannot be drawn on this picture.
+    exist, or if the picture accepts no such overlay.
 
     **Example:**
 

@@ -82,7 +82,7 @@ def follow(
       By default, `settle` and `observe` are the default times of the scene.
     - `cycles`: largest number of section crossings per period on branches from period doublings, from 1 (no such
       branches) to 8. With `cycles=0`, `follow` continues equilibria; Newton's method finds the first equilibrium,
-      stable or not, from the states of `start`.
+      stable or not, near the initial condition.
 
     **Returns:** a dataset.
 
@@ -97,8 +97,7 @@ def follow(
     At a *grazing* point, an impact or another event appears or vanishes, except the beginning or end of a stick phase.
     For events other than impacts, `special_note` names the mode that changes. Multipliers at a special point are
     computed on the side from which the point was reached. If orbits exist only on the side without an impact,
-    multipliers at a special point are computed on the side without impact. Next to a grazing impact, multipliers hold
-    for very small perturbations only.
+    multipliers at a special point are computed on the side without impact.
 
     Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
     mirror image of an orbit counts as another orbit. An orbit that does not cross the section has NaN as its state at

@@ -123,9 +123,8 @@ def fit_rop(
     size and for noise proportional to the rate.
 
     A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate does not rise, the
-    forms are fitted to the rows below this weight. Logs of 30 rows or more are fitted without outlying rows, which the
-    attribute `left_out_rows` lists. In logs of 50 rows or more, a jackknife over blocks of rows gives the standard
-    errors, and the cross-validation error `cv_error` compares the forms.
+    forms are fitted to the rows below this weight. In logs of 50 rows or more, a jackknife over blocks of rows gives
+    the standard errors, and the cross-validation error `cv_error` compares the forms.
 
     **Arguments:**
 
@@ -134,7 +133,7 @@ def fit_rop(
     - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Lanes with equal values on
       all other axes form a group.
     - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
-      `along` is a column, the default is all other columns except mean_force.
+      `along` names a column, the default is all other columns except mean_force.
     - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation
       (default for a log). R² and AIC are computed from residuals without the loss function.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",

@@ -145,8 +145,8 @@ def sensitivity(
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset lacks orbits (`orbits = true`), its
       sweep is run again.
     - Instead of a sweep, `source` can be a scene or its name. For a scene, the function differentiates the orbit on
-      which the motion from `start` settles at the `parameters` (SI, as in `simulate`). A name that denotes both a scene
-      and a bundled sweep, such as "drilling", means the scene if any argument besides `by` and `progress` is given.
+      which the motion settles for the given `start` and `parameters` (SI, as in `simulate`). A name that denotes both a
+      scene and a bundled sweep, such as "drilling", means the scene if further arguments specify a point.
     - `by`: parameters of the scene, by default all.
     - `of`: variables to differentiate at a single point, by default all variables that vary smoothly. `settle`,
       `observe` [s]: as in a sweep.

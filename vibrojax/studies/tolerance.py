@@ -253,7 +253,7 @@ def tolerance(
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
     Each sample is simulated from every start. A search around the most extreme periodic samples adds samples
-    (*refined*). The extremes of the samples do not bound the variables over the box.
+    (*refined*).
 
     **Arguments:**
 
@@ -266,14 +266,15 @@ def tolerance(
 
     **Returns:** a dataset.
 
-    - Variables along `sample` and `start`: the variables of a sweep. Variables along `sample`: the parameters, and
-      `place`, the position of the sample in the tolerance box (nominal, corner, edge, interior or refined). Sample 0 is
-      the nominal point.
+    - For each sample and start: the variables of a sweep. Variables along `sample`: the parameters, and `place`, the
+      position of the sample in the tolerance box (nominal, corner, edge, interior or refined). Sample 0 is the nominal
+      point.
     - Variables along `start`: the extremes `NAME_least` and `NAME_most` of period, impact velocity and other variables
       over the samples, and the indices `NAME_least_sample` and `NAME_most_sample` of the samples with the extremes (-1
       if there is none).
-    - Shares of samples: `regime_share` along `label` and `start`; `regime_kept`, in the regime of the nominal point;
-      `irregular_share`. Samples that the search adds do not count in shares of regimes.
+    - `regime_share`: share of samples in each regime; `regime_kept`: share of samples in the regime of the nominal
+      point; `irregular_share`: share of irregular samples. Samples that the search adds do not count in shares of
+      regimes.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
 
