@@ -21,9 +21,9 @@ mostly a thousand; a bit of 20 kg, a fifth of the lightest, is reported as well.
 class Parameter:
     """A physical parameter of a scene or a friction law.
 
-    The value `default` has the unit `unit`. A value must be at least `lowest` (above `lowest` if `open_below` is True),
-    and less than the bound `below`. The pair `usual` holds the least and the greatest value in the source or on rigs;
-    None if unknown.
+    The field `unit` is the unit of `default`. A value must be at least `lowest` (above `lowest` if `open_below` is
+    True), and less than the bound `below`. The pair `usual` holds the least and the greatest value in the source or on
+    rigs; None if unknown.
     """
 
     name: str

@@ -74,7 +74,7 @@ def borders(
       longer leads to this orbit; beyond a *not-settled* border, the motion had not settled. The flag `continued` is 1
       if the curve was continued from the point `seed_NAME`, else 0. The text `curve_note` states why the curve ends, or
       why it was not continued. The attribute `begun_from` describes the grid of the sweep.
-    - Variables along `crossing`, if a value is given as `at`: `crossing_curve`, and `crossing_NAME` for both
+    - Variables along `crossing`, if the argument `at` is given: `crossing_curve`, and `crossing_NAME` for both
       parameters.
     - Variables along `region`: `region_area`, the fraction of the plane with a stable single impact, with the
       coordinates `region_start` and so on. Variable along `region` and `cell`: `region_stable`, which is 1 at the grid

@@ -86,7 +86,7 @@ def curves(
       other special points on the curve.
     - Variables along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
       parameters.
-    - Variables along `crossing`, if a value is given as `at`: `crossing_curve`, and `crossing_NAME` for both
+    - Variables along `crossing`, if the argument `at` is given: `crossing_curve`, and `crossing_NAME` for both
       parameters.
 
     **Raises:** `InputError` for an invalid name or value.

@@ -242,10 +242,10 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
     **Arguments:**
 
     - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has a
-      `scene`, variables or "share_single_impact" in the list `of`, and up to twelve parameters NAME = [low, high] in
-      the table `[vary]`. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number of
-      base samples, a power of two; default 256) and `seed` (default 0). A study of D parameters needs (2 D + 2) lanes
-      per base sample and start.
+      `scene`, a list of variables or "share_single_impact" (`of`), and a table `[vary]` with NAME = [low, high] for up
+      to twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number
+      of base samples, a power of two; default 256) and `seed` (default 0). A study of D parameters needs (2 D + 2)
+      lanes per base sample and start.
 
     **Returns:** a dataset with the dimensions `of` (the variable), `parameter`, and `other` (the second parameter of a
     pair).
