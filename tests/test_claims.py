@@ -43,7 +43,8 @@ KEPT = [
     ("large_sweeps", "kills a sweep two hundred times; no chunk has been lost", HARD,
      ["Seen: 200 kills", "no chunk lost"]),
     ("reproduction", "with at most a third of the 470 kN", SOURCE, ["strikes with at most a third of the 470 kN"]),
-    ("reproduction", "in up to six tenths of the recommended region", SOURCE, ["in up to six tenths of the recommended region"]),
+    ("reproduction", "in up to six tenths of the recommended region", SOURCE,
+     ["in up to six tenths of the recommended region"]),
 ]  # fmt: skip
 
 
