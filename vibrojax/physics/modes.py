@@ -58,7 +58,7 @@ def natural_frequencies(p: Numbers, xp: Any = jnp) -> Float[Array, "*lanes 2"]:
 def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
     """Return the empirical frequency [rad/s] w = sqrt((k1 + k2)/m1 + share k2/m2) (source, eq. 5.17).
 
-    In Batako's thesis, the coefficient `share` is 1/4.
+    The factor `share` of k2/m2 is 1/4 in Batako's thesis.
     """
     m2, k2 = striker(p)
     return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)

@@ -72,9 +72,9 @@ def follow(
     - `along`: name of the continuation parameter; `at`: value of this parameter at the first orbit; `span`: lower and
       upper bound of this parameter, which enclose `at`.
     - `start`: initial condition of the motion that settles on the first orbit, by default the first start of the scene.
-    - `orbit`: a stable or unstable orbit for `along` = `at`, as `{"states": [...], "period": ...}`. The states are
-      ordered as in `start`, and belong to the beginning of a forcing period if the system is forced; the period is in
-      seconds. Newton's method corrects the states and the period.
+    - `orbit`: a stable or unstable orbit at the first parameter value, as `{"states": [...], "period": ...}`. The
+      states are ordered as in `start`, and belong to the beginning of a forcing period if the system is forced; the
+      period is in seconds. Newton's method corrects the states and the period.
     - `from_hopf`: a family of equilibria, or its file. A branch begins at each Hopf point of the family of equilibria,
       unless another branch has led to the point. With `from_hopf`, the defaults of `along`, `span` and the parameters
       are the values in the family of equilibria, and `at` is not needed.
