@@ -8,6 +8,7 @@ from vibrojax.scenes import Scene
 from vibrojax.settings.fields import Settings, setting
 from vibrojax.settings.values import choice
 from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Located, Stepper, stepper_named
+from vibrojax.stepping.located import HIGH_ORDER, HIGH_ORDER_ERROR
 
 
 def _read_method(place: Place, value: object) -> str | Stepper:
@@ -63,7 +64,9 @@ class RunSettings(Settings):
 
     @property
     def stepper(self) -> Stepper:
-        return stepper_named(self.method)
+        """The stepper; the order of the one that is called located follows from the accepted error."""
+        high = self.method == Located.name and self.error <= HIGH_ORDER_ERROR
+        return Located(HIGH_ORDER) if high else stepper_named(self.method)
 
     @property
     def requested(self) -> AccuracyRequest:

@@ -120,7 +120,6 @@ class Stepper(ABC):
     - `order`: order of the integration method; `degree`: degree of the polynomials that describe a step.
     - `coarser_by`: ratio between check run and main run of the tolerance or smoothing width; the error is estimated
       from the check run.
-    - `error_share`: ratio of the estimated error of the main run to the difference between main run and check run.
     - `check_settles`: additional settling time of the check run of a settled lane, as a fraction of the lane's settling
       time. If it is zero, the check run is extrapolated from its returns, so main run and check run must be close.
     - `smooths`: True if the stepper smooths dry friction over a width, so that the bit never sticks.
@@ -143,7 +142,6 @@ class Stepper(ABC):
     name: ClassVar[str]
     order: int
     coarser_by: ClassVar[float]
-    error_share: ClassVar[float]
     check_settles: ClassVar[float] = 0.5
     smooths: ClassVar[bool] = False
     rests: ClassVar[bool] = False
@@ -152,6 +150,11 @@ class Stepper(ABC):
     @abstractmethod
     def degree(self) -> int:
         """Degree of the polynomials that describe a step."""
+
+    @property
+    @abstractmethod
+    def error_share(self) -> float:
+        """Ratio of the estimated error of the main run to the difference of the two runs."""
 
     @abstractmethod
     def step(
