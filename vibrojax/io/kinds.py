@@ -103,7 +103,7 @@ OF_BORDERS: dict[str, Variable] = {
     "curve_note": Variable(
         "", "point and reason of each end of the curve, or reason why the border was not continued", np.str_
     ),
-    "crossing_curve": Variable("1", "number of the curve that crosses the value in at", np.int32),
+    "crossing_curve": Variable("1", "number of the curve that crosses the given value", np.int32),
 }
 
 OF_CURVES: dict[str, Variable] = {
@@ -115,7 +115,7 @@ OF_CURVES: dict[str, Variable] = {
     "curve_note": Variable("", "point and reason of each end of the curve", np.str_),
     "codim2_kind": Variable("", "name of the point of codimension two", np.str_),
     "codim2_curve": Variable("1", "number of the curve on which the point lies", np.int32),
-    "crossing_curve": Variable("1", "number of the curve that crosses the value in at", np.int32),
+    "crossing_curve": Variable("1", "number of the curve that crosses the given value", np.int32),
 }
 """Variables in addition to those of orbits."""
 

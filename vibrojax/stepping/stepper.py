@@ -154,7 +154,7 @@ class Stepper(ABC):
     @property
     @abstractmethod
     def error_share(self) -> float:
-        """Ratio of the estimated error of the main run to the difference of the two runs."""
+        """Ratio of the estimated error of the main run to the difference between main run and check run."""
 
     @abstractmethod
     def step(

@@ -72,7 +72,7 @@ def follow(
     - `along`: name of the continuation parameter; `at`: value of this parameter at the first orbit; `span`: lower and
       upper bound of this parameter, which enclose `at`.
     - `start`: initial condition of the motion that settles on the first orbit, by default the first start of the scene.
-    - `orbit`: a stable or unstable orbit at the first parameter value, as `{"states": [...], "period": ...}`. The
+    - `orbit`: a stable or unstable orbit for the parameter value `at`, as `{"states": [...], "period": ...}`. The
       states are ordered as in `start`, and belong to the beginning of a forcing period if the system is forced; the
       period is in seconds. Newton's method corrects the states and the period.
     - `from_hopf`: a family of equilibria, or its file. A branch begins at each Hopf point of the family of equilibria,
