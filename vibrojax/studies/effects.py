@@ -242,7 +242,7 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
     **Arguments:**
 
     - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has a
-      `scene`, a list of variables or "share_single_impact" (`of`), and a table `[vary]` with NAME = [low, high] for up
+      `scene`, a list `of` variables or "share_single_impact", and a table `[vary]` with NAME = [low, high] for up
       to twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number
       of base samples, a power of two; default 256) and `seed` (default 0). A study of D parameters needs (2 D + 2)
       lanes per base sample and start.

@@ -61,9 +61,9 @@ def follow(
         fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
 
     A family begins at the given `orbit`, at Hopf points of a family of equilibria, or by default at the orbit on which
-    the motion settles for `along` = `at`. If the motion settles at an equilibrium, `follow` continues the family of
-    equilibria. Pseudo-arclength continuation follows the family in both directions, through folds and changes in the
-    order of events, and onto period-doubled branches.
+    the motion settles at the value `at` of the parameter `along`. If the motion settles at an equilibrium, `follow`
+    continues the family of equilibria. Pseudo-arclength continuation follows the family in both directions, through
+    folds and changes in the order of events, and onto period-doubled branches.
 
     **Arguments:**
 
