@@ -48,9 +48,9 @@ LEAST_ORDER = 2
 
 @dataclass(frozen=True)
 class Located(Stepper):
-    """The stepper that locates every event and ends a step on it, with Taylor series up to `order`.
+    """The stepper that ends a step on every event, by Taylor series up to `order`.
 
-    Of the settings in `Accuracy`, it uses `stride`, `tolerance` and `step`.
+    Of the settings in `Accuracy`, the stepper `Located` uses `stride`, `tolerance` and `step`.
 
     **Example:**
 
