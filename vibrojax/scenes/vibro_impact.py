@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from vibrojax.lazy import jnp
 from vibrojax.physics.contact import contact_time, raw_force
 from vibrojax.physics.elementary import maximum
@@ -65,7 +67,8 @@ class VibroImpact(Rotary, HasContact[Any]):
     def start(self, c: Any, name: Start, shape: tuple[int, ...]) -> Values:
         x1, v1, x2, *others = super().start(c, name, shape)
         if name == "touching":  # as `drive`, but without the kick of a preloaded contact (R13)
-            x2 = jnp.minimum(x2, c.contact.delta)
+            xp = np if isinstance(x2, np.ndarray) else jnp  # as in `rotary`
+            x2 = xp.minimum(x2, c.contact.delta)
         return (x1, v1, x2, *others)
 
     def mode_at(self, c: Any, state: Values, *others: Any) -> Values:
