@@ -99,8 +99,8 @@ def attractors(
     comparison.
 
     Motions of neighbouring points are the same attractor if the orbit of one, continued to the other's parameters,
-    becomes the orbit of the other. The numbers of the attractors do not depend on the order of values on an axis;
-    number 0 has the greatest fraction over the grid.
+    becomes the orbit of the other. At a pitchfork, the symmetric orbit has the number of one of its twins. The numbers
+    of the attractors do not depend on the order of values on an axis; number 0 has the greatest fraction over the grid.
 
     **Arguments:**
 
