@@ -155,7 +155,7 @@ def test_info_summarises_dataset():
         "accuracy  error_estimate median 1e-05, largest 0.005",
         "          66.67 % of 3 periodic lanes within the accepted 0.001",
         "wall time 2 s",
-        "run       settled for 40 s, observed for 8 s",
+        "run       settled for 40 s, observed for 8 s\n          error = 0.001",
         "friction  coulomb\nfixed     k1 = 300000 N m-1 (default 156250)\n          by default: m1 = 250, v = 1.5",
     ):
         assert line in text, text

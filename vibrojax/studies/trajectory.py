@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, counted, shown
-from vibrojax.io.attributes import attribute_of, flags, parameters_of, run_of
+from vibrojax.io.attributes import attribute_of, flags, hole_radius_of, parameters_of, run_of
 from vibrojax.io.variables import Variable
 from vibrojax.lanes.record import (
     KINDS,
@@ -353,7 +353,7 @@ def _power_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     for name in ("impact_power", "specific_energy", "stick_slip_index"):
         if math.isfinite(values.get(name, math.nan)) and (name != "impact_power" or values[name] > 0):
             factor, unit = scale(ds[name])
-            radius = ds[name].attrs.get("bit_radius")
+            radius = hole_radius_of(ds) if name == "specific_energy" else None
             hole = "" if radius is None else f" (hole of radius {radius:g} m)"
             parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip() + hole)
     return ", ".join(parts).replace("stick slip", "stick-slip")
