@@ -133,7 +133,7 @@ class Trajectories(MachineAnalysis[Point]):
     kind, command = "trajectory", "simulate"
     view = "motion"
     run_settings = ()
-    file, lists, numbered = "SCENE.nc, SCENE-2.nc, ...", False, True
+    file, lists = "SCENE.nc, SCENE-2.nc, ...", False
     pictures = (
         PictureRule("motion", lambda held: held.bit_on_rock and held.swept_sine, response),
         PictureRule("motion", lambda held: held.bit_on_rock, pulses),
