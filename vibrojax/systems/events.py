@@ -107,7 +107,7 @@ class Switch:
 class Friction:
     """Dry friction with the force -sgn(u) mu(|u|) N on a body, which sticks while mu(0) N holds it.
 
-    - `relative`: function u = `relative(t, y, p)`, the sliding velocity [m/s].
+    - `relative`: function u = `relative(t, y, p)`, the sliding velocity [m/s]; it rises with the velocity `acts_on`.
     - `normal`: function N = `normal(t, y, p)`, or `normal(t, y, p, s)` with the sides of switches: the normal force
       [N].
     - `law`: a friction law or the name of one of `vj.FRICTION_LAWS`, whose parameters become parameters of the system;
