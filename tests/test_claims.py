@@ -38,12 +38,13 @@ KEPT = [
      ["(67.4 %)", "(30.3 %)", "(1.5 %)", "`drive` at 18.9 %", "`stuck` at 4.9 %"]),
     ("rig_log", "above 500 ft/h, 180 klbf or 500 rpm", "vibrojax/io/riglog.py",
      ["500 * 0.3048 / 3600", "500 * RPM"]),
-    ("rig_log", "is rejected above 5.4", "vibrojax/studies/rop_forms.py", ["BLOCK_LIMIT = 5.4"]),
+    ("rig_log", "the evidence against it exceeds 5.4", "vibrojax/studies/rop_forms.py", ["BLOCK_LIMIT = 5.4"]),
     ("large_sweeps", "(6 s, and 1 s per 20 MB)", "vibrojax/io/untrusted.py", ["PROCESSOR_SECONDS, SLOWEST = 6.0, 2e7"]),
     ("large_sweeps", "kills a sweep two hundred times; no chunk has been lost", HARD,
      ["Seen: 200 kills", "no chunk lost"]),
     ("reproduction", "with at most a third of the 470 kN", SOURCE, ["strikes with at most a third of the 470 kN"]),
-    ("reproduction", "in up to six tenths of that region", SOURCE, ["in up to six tenths of the recommended region"]),
+    ("reproduction", "in up to six tenths of the recommended region", SOURCE,
+     ["in up to six tenths of the recommended region"]),
 ]  # fmt: skip
 
 

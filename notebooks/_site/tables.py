@@ -52,19 +52,25 @@ SHARED = {
     r"(\w+)_(?:least|most)": (
         "NAME_least, NAME_most",
         "as NAME",
-        "least and greatest value among the samples",
+        "least and greatest value of the variable NAME among the samples",
         "tolerance",
         "",
     ),
     r"(\w+)_(?:least|most)_sample": (
         "NAME_least_sample, NAME_most_sample",
         "1",
-        "number of the sample with this value; -1 if no sample has a value",
+        "number of the sample with the least or greatest value; -1 if there is none",
         "tolerance",
         "",
     ),
-    r"return_([xv]\d|compression)": ("return_NAME", "as NAME", "state at the return", "", ""),
-    r"orbit_([xv]\d|compression)": ("orbit_NAME", "as NAME", "state at which the orbit crosses the section", "", "all"),
+    r"return_([xv]\d|compression)": ("return_NAME", "as NAME", "state variable NAME at the return", "", ""),
+    r"orbit_([xv]\d|compression)": (
+        "orbit_NAME",
+        "as NAME",
+        "state variable NAME at which the orbit crosses the section",
+        "",
+        "all",
+    ),
     r"(\w+_order)_conf": ("NAME_conf", "1", "half-width of the confidence interval of NAME", "study", ""),
 }
 """Patterns of variables that share a row, and that row: variable, units, meaning, command and scenes."""

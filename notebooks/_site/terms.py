@@ -17,7 +17,7 @@ PAGE = "files_and_symbols"
 SITE_WORDS = {
     "Batako's thesis": "Batako, *A self-exciting system for percussive-rotary drilling*, PhD thesis, "
     "Loughborough University: the source of the drill's equations, called *the source* in files and docstrings",
-    "ω₂/ω₁": "natural frequency of the striker over that of the bit, each on its own spring: γ, `gamma` in code",
+    "ω₂/ω₁": "ratio γ (`gamma` in code) of the natural frequencies of striker and bit, each alone on its spring",
 }
 """Terms that only the site needs."""
 

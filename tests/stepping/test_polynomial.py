@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
 from vibrojax.measures.motion import cos_sin
-from vibrojax.stepping.polynomial import highest, integral, root, slope, value
+from vibrojax.stepping.polynomial import extremes, highest, integral, root, slope, value
 
 RANDOM = np.random.default_rng(11)
 
@@ -88,3 +88,17 @@ def test_maximum_within_step():
     np.testing.assert_allclose(highest(wave, jnp.asarray([1.0, 0.4])), [1.0, np.sin(1.1)], rtol=1e-10)
     fall = [-c for c in wave]
     np.testing.assert_allclose(highest(fall, jnp.asarray([0.2, 0.4])), -np.sin(0.3), rtol=1e-12)
+
+
+def test_extremes_of_a_wave_on_a_ramp():
+    """A wave on a ramp turns twice within a step of 2 rad, at cos(phase + angle) = slope; its ends may be outside."""
+    phase, slope = map(np.ravel, np.meshgrid(np.linspace(-np.pi, np.pi, 91), np.linspace(0, 1.4, 36)))
+    wave = np.array([np.sin(phase + k * np.pi / 2) * 2.0**k / factorial(k) for k in range(25)])
+    wave[1] -= 2 * slope
+    angle = np.linspace(0, 2, 2001)[:, None]
+    values = np.sin(phase + angle) - slope * angle
+    low, high = extremes([jnp.asarray(c) for c in wave], jnp.ones(len(phase)))
+    below, above = values.min(axis=0), values.max(axis=0)
+    for found, right in ((-low, -below), (high, above)):
+        assert np.max(found - right) < 2e-7  # that of the samples in `values`
+        assert np.max(right - found) < 2.5e-3 and np.mean(right - found < 1e-8) > 0.98

@@ -56,21 +56,20 @@ def write_page(
 
         vj.write_page(vj.run_sweep("regime-map"), "regime-map.html")
 
-    The guide to the interactive page describes what it shows.
-
     **Arguments:**
 
-    - `ds`: any dataset of the package, or of an analysis with a picture.
-    - `path`: the file to write; a page that this package wrote is replaced.
-    - `over`: result of `borders` or `curves`, to draw on a map of the same parameters, or of `follow`, to draw over the
-      returns of a sweep.
-    - `sweep`: the sweep of the dataset, if it contains your own objects (a scene, a law), which have no name.
-    - `progress`: whether to report progress. A sweep is run again, with its orbits, to record motions.
+    - `ds`: dataset of any kind that has a picture.
+    - `path`: path of the HTML file; a page that this package wrote is replaced.
+    - `over`: result of `borders` or `curves`, to be drawn over a map of the same parameters, or result of `follow`, to
+      be drawn over the returns of a sweep.
+    - `sweep`: the sweep of the dataset, needed if the sweep contains objects of your own, such as a scene or a friction
+      law.
+    - `progress`: whether to report progress. To record the motions, the page runs the sweep again, with orbits.
 
     **Returns:** the path.
 
-    **Raises:** `InputError` if the dataset holds nothing to show, if `over` or `sweep` does not belong to it, or if
-    `path` is a file that this package has not written. `OSError` if the file cannot be written.
+    **Raises:** `InputError` if the dataset holds nothing to show, if the overlay or the sweep does not belong to the
+    dataset, or if another program wrote the existing file at `path`; `OSError` if the file cannot be written.
 
     **Example:**
 
@@ -93,7 +92,7 @@ def explore(
     sweep: Sweep | Mapping[str, object] | None = None,
     live: bool | None = None,
 ) -> "Explorer":
-    """Return the explorer page of a dataset as a notebook widget; Python can read the map cell that a click selects.
+    """Return the explorer page of a dataset as a notebook widget; Python code can read and set the selected map cell.
 
     JupyterLab, Jupyter Notebook from version 7 and VS Code show the widget.
 
@@ -101,18 +100,20 @@ def explore(
 
     - `ds`, `over`, `sweep`: as for [vibrojax.write_page][].
     - `live`: whether the notebook's kernel simulates the motion of the selected map cell, with a slider for every
-      parameter. If False, the sweep is run again, and the widget contains the motions of all lanes; it then works
-      without a kernel. None: True if the dataset's scene is a scene of the package.
+      parameter. If `live` is False, the sweep is run again, and the widget contains the motions of all lanes and works
+      without a kernel. By default, `live` is True if the scene belongs to the package.
 
-    **Returns:** the widget. The traits `cell` (index by axis) and `point` (value by axis in SI units; an initial
-    condition by name or state) are those of the selected map cell. The trait `simulated` has the `parameters` in SI
-    units and the `start` of the last motion requested with sliders. The property `lane` is the dataset of the selected
-    lane.
+    **Returns:** the widget. The traits `cell` (index along each axis) and `point` (value of each axis in SI units, and
+    the initial condition by name or state) describe the selected map cell. The trait `simulated` of the widget has the
+    `parameters` in SI units and the `start` of the last motion that sliders requested. The property `lane` of the
+    widget is the dataset of the selected lane.
 
-    **Raises:** `InputError` if the dataset holds nothing to show, or anywidget is not installed
-    (`pip install "vibrojax[widget]"`); in `widget.point = ...`, if there is no such axis or value.
+    **Raises:** `InputError` if the dataset holds nothing to show, or if anywidget is not installed
+    (`pip install "vibrojax[widget]"`); an assignment `widget.point = ...` raises `InputError` if the axis or value does
+    not exist.
 
-    **Example:** (in a notebook, a line `widget` shows it; a click selects a map cell, as `widget.point = ...` does)
+    **Example:** (in a notebook, a line `widget` shows the page; a click selects a map cell, as `widget.point = ...`
+    does)
 
     >>> sweep = {"scene": "vibro-impact", "grid": {"beta": [0.3, 0.4]}, "run": {"settle": 8.0}}
     >>> widget = vj.explore(vj.run_sweep(sweep, progress=False))

@@ -24,10 +24,10 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 
     **Arguments:**
 
-    - `path`: path of the netCDF file or Zarr store. Attributes, names, coordinates and flags are checked.
+    - `path`: path of the netCDF file or Zarr store. Attributes, names, coordinates and flags of the file are checked.
 
-    **Returns:** the dataset, in memory. Variables of a dataset above 256 MB are read when they are used, and in parts
-    by dask if dask is installed.
+    **Returns:** the dataset, in memory. In a dataset above 256 MB, each variable is read when it is first used, or in
+    parts if dask is installed.
 
     **Raises:** `InputError` if the file is missing, not netCDF, truncated, not written by this package, or malformed.
 

@@ -83,7 +83,7 @@ BORDER_KINDS = (*SPECIAL_KINDS[:8], "basin", "not-settled")
 leads to an existing orbit."""
 
 OF_FAMILIES: dict[str, Variable] = {
-    "branch": Variable("1", "number of the branch; 0: the family's first", np.int32),
+    "branch": Variable("1", "number of the branch; 0 is the first branch of the family", np.int32),
     "special_kind": Variable("1", "kind of the special point", np.int8, SPECIAL_KINDS),
     "special_value": Variable("of the parameter", "value of the parameter at the special point"),
     "special_branch": Variable("1", "number of the branch on which the special point lies", np.int32),
@@ -95,23 +95,27 @@ OF_FAMILIES: dict[str, Variable] = {
 
 OF_BORDERS: dict[str, Variable] = {
     "curve": Variable("1", "number of the curve on which the vertex lies", np.int32),
-    "kind": Variable("1", "why the region of the stable single impact ends at this curve", np.int8, BORDER_KINDS),
+    "kind": Variable("1", "reason why the region of the stable single impact ends at the curve", np.int8, BORDER_KINDS),
     "region_area": Variable("1", "share of the plane with a stable single impact"),
-    "continued": Variable("1", "1: computed by continuation; 0: joins points located between grid points", np.int8),
-    "curve_note": Variable("", "where and why the curve ends, or why the border was not continued", np.str_),
-    "crossing_curve": Variable("1", "number of the curve that passes the given value", np.int32),
+    "continued": Variable(
+        "1", "1 if the curve was computed by continuation, 0 if it joins points between grid points", np.int8
+    ),
+    "curve_note": Variable(
+        "", "point and reason of each end of the curve, or reason why the border was not continued", np.str_
+    ),
+    "crossing_curve": Variable("1", "number of the curve that crosses the given value", np.int32),
 }
 
 OF_CURVES: dict[str, Variable] = {
     "point_curve": Variable("1", "number of the curve on which the point lies", np.int32),
     "kind": Variable("1", "kind of the special points that the curve consists of", np.int8, SPECIAL_KINDS),
     "special": Variable(
-        "1", "index of the family's special point at which the curve begins; -1: it begins elsewhere", np.int32
+        "1", "index of the special point of the family at which the curve begins; -1: at no special point", np.int32
     ),
-    "curve_note": Variable("", "where and why the curve ends", np.str_),
+    "curve_note": Variable("", "point and reason of each end of the curve", np.str_),
     "codim2_kind": Variable("", "name of the point of codimension two", np.str_),
     "codim2_curve": Variable("1", "number of the curve on which the point lies", np.int32),
-    "crossing_curve": Variable("1", "number of the curve that passes the given value", np.int32),
+    "crossing_curve": Variable("1", "number of the curve that crosses the given value", np.int32),
 }
 """Variables in addition to those of orbits."""
 
@@ -120,8 +124,8 @@ OF_ATTRACTORS: dict[str, Variable] = {
     "share_stderr": Variable("1", "binomial standard error of share"),
     "unassigned": Variable("1", "number of starts without a known attractor", np.int32),
     "lane_attractor": Variable("1", "number of the attractor in which the lane ends; -1: unknown", np.int32),
-    "named_attractor": Variable("1", "number of the attractor to which the named start leads; -1: unknown", np.int32),
-    "named_regime": Variable("1", "regime to which the named start leads", np.int8, REGIMES),
+    "named_attractor": Variable("1", "number of the attractor that the named start reaches; -1: unknown", np.int32),
+    "named_regime": Variable("1", "regime of the motion from the named start", np.int8, REGIMES),
 }
 
 

@@ -62,27 +62,27 @@ def read_log(
 ) -> pd.DataFrame:
     """Read a rig log as it was exported (CSV, LAS, WITSML, xlsx) into a table in SI units.
 
-    Rows during which the rig does not drill are dropped and counted: those without rate, weight or rotation, with the
-    bit off the bottom, with values that no rig reaches, or with a decreasing depth. A table without a column of a rig,
-    such as one with `relief` and `rate_of_penetration`, keeps all its rows.
+    Rows during which the rig does not drill are dropped and counted by reason. All rows are kept if the table has no
+    column that only rigs record, such as a table of relief and rate_of_penetration.
 
     **Arguments:**
 
     - `path`: the file, or a DataFrame with the columns of such a file.
-    - `columns`: by quantity, the column and its unit, or a value for all rows, such as {"bit_diameter": "8.5 in"}.
+    - `columns`: for each quantity, its column and unit, or a value for all rows, such as {"bit_diameter": "8.5 in"}.
     - `where`: one or several conditions that rows must meet: "WOB (klb) < 35", "depth (m) >= 1200", "time (h) > 2",
       "Formation=shale". A condition on a quantity replaces the usual limit of this quantity.
-    - `nulls`: further texts or numbers that stand for a missing value, beside -999.25, NULL, N/A, - and the like.
-    - `needed`: quantities in which a bad cell or an unlikely unit is an error; in other quantities, it is only noted.
+    - `nulls`: further texts or numbers that mark a missing value, in addition to -999.25, NULL, N/A, - and similar
+      ones.
+    - `needed`: quantities for which a bad cell or an unlikely unit is an error; for other quantities, a note is made.
 
     **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`
     [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and
-    `stick_slip_index` (as given), where the file has them; then `line`, the number of a row's line in the file, and the
-    other columns. `attrs`: `units` and `sources` by quantity, `dropped` (number of rows by reason), `lines` (line
-    numbers of these rows), `rows_read`, `notes`, `title`, `rig` (whether it is the log of a rig), and `unusual`
-    (columns whose stated unit gives values far from those of rigs: name, quantity, median [SI] and advice).
+    `stick_slip_index` (as given), if the file has these quantities; `line`, the line number of each row in the file;
+    and all other columns of the file. `attrs`: `units` and `sources` by quantity, `dropped` (number of rows by reason),
+    `lines` (line numbers of these rows), `rows_read`, `notes`, `title`, `rig` (whether it is the log of a rig), and
+    `unusual` (columns whose stated unit gives values far from those of rigs: name, quantity, median [SI] and advice).
 
-    **Raises:** `InputError` that names column and line; all bad cells are listed at once.
+    **Raises:** `InputError`, which lists all bad cells with column and line.
 
     **Example:**
 

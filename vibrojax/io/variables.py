@@ -13,9 +13,10 @@ class Variable:
 
     - `units`, `long_name`: CF attributes.
     - `dtype`: data type of the stored values.
-    - `flags`: the meanings of the values 0, 1, ..., or of `first_flag` and the following integers.
-    - `along`: a dimension in addition to the sweep's dimensions; "": none.
-    - `dims`: all dimensions, if they are the same in every dataset; values are then given without dimensions.
+    - `flags`: the meaning of each integer value, from `first_flag` (0 by default) upwards.
+    - `along`: name of a dimension that the variable has in addition to the dimensions of the sweep; "" for none.
+    - `dims`: all dimensions of the variable, if these are the same in every dataset; the values are then given without
+      dimensions.
     - `notes`: further attributes by name, such as a definition.
 
     **Example:**
@@ -116,22 +117,22 @@ def orbit_name(state: str) -> str:
 
 VARIABLES: dict[str, Variable] = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
-    "check_regime": Variable("1", "regime in the coarser run from which errors are estimated", np.int8, REGIMES),
+    "check_regime": Variable("1", "regime in the coarser check run", np.int8, REGIMES),
     "hidden_motion": Variable(
         "1",
-        "whether another start at this point leads to another motion of the same regime",
+        "whether another start at the same point leads to a different motion of the same regime",
         np.int8,
         ("none", "another"),
     ),
     "period": Variable("s", "period"),
-    "cycles": Variable("1", "returns after which the motion repeats (0: it does not)", np.int8),
+    "cycles": Variable("1", "number of returns after which the motion repeats (0: it does not)", np.int8),
     "returns": Variable("1", "number of observed returns to the section", np.int32),
-    "impacts": Variable("1", "impacts in one repeat of the motion (per return if cycles is 0)"),
+    "impacts": Variable("1", "number of impacts per period of the motion (per return if cycles is 0)"),
     "impact_velocity": Variable("m s-1", "impact velocity"),
     "impact_velocity_min": Variable("m s-1", "least impact velocity"),
     "impact_velocity_max": Variable("m s-1", "greatest impact velocity"),
-    "bit_velocity_at_impact": Variable("m s-1", "sliding velocity of the bit at impact"),
-    "impact_phase": Variable("rad", "mean phase of the impacts within their return, 0 at the section"),
+    "bit_velocity_at_impact": Variable("m s-1", "sliding velocity of the bit at an impact"),
+    "impact_phase": Variable("rad", "mean phase of the impacts since the section crossing"),
     "impact_energy": Variable("J", "impact energy"),
     "impact_power": Variable(
         "W",
@@ -151,27 +152,29 @@ VARIABLES: dict[str, Variable] = {
             "the mean of a periodic motion is the drive speed v"
         },
     ),
-    "bit_amplitude": Variable("m", "half the peak-to-peak range of the bit"),
-    "striker_amplitude": Variable("m", "half the peak-to-peak range of the striker"),
-    "striker_turns": Variable("1", "turns of the striker from forward to backward per return"),
+    "bit_amplitude": Variable("m", "half the peak-to-peak range of the bit's position"),
+    "striker_amplitude": Variable("m", "half the peak-to-peak range of the striker's position"),
+    "striker_turns": Variable("1", "number of times per return that the striker turns back"),
     "phase_lag": Variable("rad", "phase lag of the striker's fundamental oscillation behind the bit's"),
-    "settling_time": Variable("s", "time of the last return that did not yet repeat within 1 %"),
+    "settling_time": Variable("s", "time after which the returns repeat within 1 %"),
     "drive_power": Variable("W", "mean power of the drive"),
-    "error_estimate": Variable("1", "larger of the estimated relative errors of settled period and impact velocity"),
-    "drift_estimate": Variable("1", "relative distance of period, impact velocity and amplitudes from settled values"),
-    "sensitive": Variable("1", "1 if rounding decides which attractor the lane reaches, else 0", np.int8),
+    "error_estimate": Variable("1", "estimated relative error of period and impact velocity, the larger of the two"),
+    "drift_estimate": Variable(
+        "1", "estimated relative distance of period, impact velocity and amplitudes from settled values"
+    ),
+    "sensitive": Variable("1", "1 if rounding errors decide which attractor the lane reaches, else 0", np.int8),
     "status": Variable("1", "whether the lane was computed", np.int8, STATUSES),
-    "reason": Variable("1", "why a lane failed or was refused", np.int8, REASONS),
+    "reason": Variable("1", "reason why the lane failed or was refused", np.int8, REASONS),
     "rate_of_penetration": Variable("m s-1", "rate of penetration"),
     "mean_force": Variable("N", "mean force on the bit, P"),
     "relief": Variable("1", "mean force over threshold, P/D"),
-    "slip_per_impact": Variable("m", "growth of the hole per impact (per pulse under a prescribed force)"),
+    "slip_per_impact": Variable("m", "growth of the hole's depth per impact (per pulse under a prescribed force)"),
     "specific_energy": Variable(
         "J m-3",
         "impact energy per volume of the hole",
         notes={"definition": "impact_power/(pi bit_radius^2 rate_of_penetration); NaN if cycles or the rate is 0"},
     ),
-    "deepest_gap": Variable("m", "greatest gap between bit and rock (as a negative value)"),
+    "deepest_gap": Variable("m", "greatest gap between bit and rock, as a negative number"),
     "multiplier_abs": Variable("1", "modulus of the orbit's multipliers, in decreasing order", along="multiplier"),
     "multiplier_arg": Variable("rad", "argument of the orbit's multipliers, 0 to pi", along="multiplier"),
     "eigenvalue_re": Variable(
@@ -179,18 +182,18 @@ VARIABLES: dict[str, Variable] = {
     ),
     "eigenvalue_im": Variable("s-1", "imaginary part of the equilibrium's eigenvalues", along="eigenvalue"),
     "stable": Variable("1", "whether all multipliers are inside the unit circle", np.int8, STABILITIES, -1),
-    "orbit_residual": Variable("1", "largest error of the orbit as a fixed point of the return map, in scaled states"),
-    "grazing_margin": Variable("1", "distance of the orbit from a change in the order of its events"),
-    "orbit_cycles": Variable(
-        "1", "returns after which the orbit repeats (fewer than cycles if the lane still settles)", np.int8
+    "orbit_residual": Variable(
+        "1", "largest scaled distance of the orbit's points from their images under the return map"
     ),
+    "grazing_margin": Variable("1", "scaled distance of the orbit from a change in the order of its events"),
+    "orbit_cycles": Variable("1", "number of returns after which the orbit repeats", np.int8),
     "orbit_reason": Variable("1", "result of the search for the orbit", np.int8, ORBIT_REASONS),
     "nearby_cycles": Variable(
-        "1", "number of returns after which a stable orbit near an unsettled lane repeats (0: none found)", np.int8
+        "1", "number of returns after which a stable orbit near the lane repeats (0: none found)", np.int8
     ),
-    "nearby_impacts": Variable("1", "impacts in one repeat of the nearby stable orbit"),
+    "nearby_impacts": Variable("1", "number of impacts per period of the nearby stable orbit"),
     "nearby_distance": Variable(
-        "1", "largest distance of the last returns from the nearby stable orbit, in amplitudes"
+        "1", "largest distance of the lane's last returns from the nearby stable orbit, in amplitudes"
     ),
     "lyapunov": Variable("1/s", "largest Lyapunov exponent of the flow, without the trivial zero"),
     "lyapunov_stderr": Variable(

@@ -32,17 +32,17 @@ _PROBE = 1 << 20
 
 
 def write_dataset(dataset: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write a netCDF-4 file or a Zarr store under a temporary name, then rename it.
+    """Write a dataset as a netCDF-4 file or a Zarr store.
 
-    An interrupted write thus leaves no partial file.
+    The file is written under a temporary name and then renamed, so an interruption leaves no partial file.
 
     **Arguments:**
 
     - `dataset`: the dataset to write.
-    - `path`: path of the file; a file that this package wrote is replaced. A name that ends in `.zarr` selects Zarr.
+    - `path`: path of the file, or of a Zarr store if it ends in `.zarr`; a file that this package wrote is replaced.
 
-    **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if zarr is not installed,
-    or `path` is a file that this package has not written.
+    **Raises:** `OSError` if the disk is full or the folder is not writable; `InputError` if zarr is not installed, or
+    if another program wrote the existing file at `path`.
 
     **Example:**
 

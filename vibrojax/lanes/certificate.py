@@ -49,10 +49,11 @@ def error_estimate(
     """Return the estimated relative error of period, impact velocity and rate of penetration, whichever is largest.
 
     It is the error of the limits that the lane approaches, the sum of four parts: the fraction `share` of the
-    difference between the two runs; `least`, in case this difference is small by chance; a multiple of the remaining
-    distance from the limit, `drift_estimate`; and the error of a bit that still moves on the rock. It is NaN if a lane
-    is not periodic. It is infinite if the number of section crossings or impacts per period differs between the runs,
-    or if the drift is unbounded.
+    difference between the limits of the two runs; `least`, in case this difference is small by chance; a multiple of
+    the remaining distance from the limit, `drift_estimate`; and the error of a bit that still moves on the rock. The
+    coarser run has settled, or its features have a `drift_estimate`, too. The error is NaN if a lane is not periodic.
+    It is infinite if the number of section crossings or impacts per period differs between the runs, or if a drift is
+    unbounded.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         names = [name for name in ("period", "impact_velocity", "rate_of_penetration") if name in fine]
@@ -60,7 +61,8 @@ def error_estimate(
             np.where(coarse[name] == fine[name], 0.0, np.abs(coarse[name] / fine[name] - 1)) for name in names
         ]
         differences += [STATE_SHARE * difference for difference in _state_differences(fine, coarse, states)]
-        error = share * reduce(np.fmax, differences) + least + DRIFT_MARGIN * fine["drift_estimate"] + rock_error(fine)
+        difference = reduce(np.fmax, differences) + DRIFT_MARGIN * coarse.get("drift_estimate", 0.0)
+        error = share * difference + least + DRIFT_MARGIN * fine["drift_estimate"] + rock_error(fine)
     agree = coarse["cycles"] == fine["cycles"]
     if "impacts" in fine:
         agree &= coarse["impacts"] == fine["impacts"]

@@ -24,7 +24,7 @@ from vibrojax.lanes.engine import Batch, Engine
 from vibrojax.lanes.inputs import Features, Index, LaneInputs, LaneResult, Plan, Report, Stage, unreported
 from vibrojax.lanes.labels import labelled
 from vibrojax.lanes.programs import END
-from vibrojax.lanes.settled import CHECK_SETTLES, OBSERVING, SETTLED, Ended, StopRule, checkpoints, settled
+from vibrojax.lanes.settled import OBSERVING, SETTLED, Ended, StopRule, checkpoints, settled
 from vibrojax.measures import recorder_for
 from vibrojax.measures.repeats import INTERVAL
 from vibrojax.measures.since_start import scale_names
@@ -169,8 +169,8 @@ class LaneRun:
                     leaving, active = active.split(done)
                     fine = leaving.observed(now, duration[done])
                     half.fine.append(fine)
-                    check = replace(fine, accuracy=coarse).observed((1 + CHECK_SETTLES) * now, duration[done])
-                    half.check.append(check)
+                    begin = (1 + self.stepper.check_settles) * now
+                    half.check.append(replace(fine, accuracy=coarse).observed(begin, duration[done]))
             if rule is not None:
                 candidates = near[0].joined(near[1:])
                 ended = rule.ended(candidates)
@@ -218,6 +218,9 @@ class LaneRun:
             away = drift_under_pulses(fine, self.scene.return_states, precision, tolerance)
             return fine | {"error_estimate": error_under_pulses(fine, check, away, self.stepper.error_share, least)}
         fine = fine | {"drift_estimate": drift(fine, section, precision, tolerance)}
+        if not self.stepper.check_settles:
+            coarser = self.stepper.coarser(self.accuracy).tolerance
+            check = check | {"drift_estimate": drift(check, section, precision, coarser)}
         # A period that a forcing sets has no error.
         names = scale_names(section) if self.scene.autonomous or "impacts" in fine else []
         states = [name.removesuffix("_scale") for name in names]

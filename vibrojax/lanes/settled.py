@@ -26,9 +26,6 @@ SETTLED = 0.01
 """Largest distance from its limit at which a lane is observed early, as a fraction of the accepted error. It applies
 only to steppers without an error tolerance. Otherwise this tolerance is the largest distance."""
 
-CHECK_SETTLES = 0.5
-"""Additional settling time of the check run of a settled lane, as a fraction of the lane's own settling time."""
-
 LONGEST_EARLY_REPEAT = 3
 """Longest period, in section crossings, of which the last eight crossings contain several."""
 

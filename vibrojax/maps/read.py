@@ -29,9 +29,9 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, object], changes: Iter
     **Arguments:**
 
     - `source`: path of a TOML file, name of a bundled sweep, or dict with the same structure as a file.
-    - `changes`: strings NAME=VALUE that override values; see [vibrojax.settings.toml.with_changes][].
+    - `changes`: strings NAME=VALUE that override values in the sweep; see [vibrojax.settings.toml.with_changes][].
 
-    **Raises:** `InputError` with a one-line message about the first problem.
+    **Raises:** `InputError` with a one-line message about the first problem in the sweep.
 
     **Example:**
 

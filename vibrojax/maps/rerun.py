@@ -59,41 +59,39 @@ def orbits(
 
         orb = vj.orbits(ds)
 
-    An orbit with `cycles` section crossings per period is a fixed point of the `cycles`-th iterate of the return map.
-    Newton's method finds it from a lane's last crossings.
+    An orbit with n section crossings per period is a fixed point of the n-th iterate of the return map. Newton's method
+    finds the orbit of a lane from the last section crossings of the lane.
 
-    In the scene `penetration` the beginning of a pulse replaces the section crossing. A lane is periodic if the map,
-    iterated from its last pulse, comes back to the same state after 1 to 8 pulses.
+    In the scene `penetration` the beginning of a pulse replaces the section crossing. A lane of `penetration` is
+    periodic if the return map, iterated from the lane's last pulse, returns to the same state after 1 to 8 pulses.
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. A dataset does not contain the initial states for
-      Newton's method, so its sweep is run again, at the coordinates of the dataset. A dataset with orbits is returned
-      unchanged if its coordinates are those of its sweep.
+    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. The sweep of a dataset without orbits is run
+      again, at the coordinates of the dataset. A dataset that has orbits is returned unchanged if its coordinates are
+      still those of its sweep.
 
-    **Returns:** the sweep's dataset, with these additional variables over its dimensions. For a lane whose orbit was
-    found, `period` and the other measures are those of the orbit.
+    **Returns:** the sweep's dataset with the additional variables listed here. If the orbit of a lane was found,
+    `period` and the other measures of the lane are computed on the orbit.
 
-    - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, in order of decreasing modulus: eigenvalues of
-      the map's derivative over `cycles` crossings. `stable`: 1 or 0, or -1 without multipliers.
+    - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`, by decreasing modulus: eigenvalues of the
+      derivative of the n-th iterate of the return map. `stable`: 1 (stable), 0 (unstable) or -1 (no multipliers).
     - `orbit_reason`: *found*, or the reason why there is no orbit. *not-repeating*: the lane is not periodic.
       *refused*: the lane cannot be run. *not-converged*: Newton's method has not converged. *near-grazing*: the orbit
       is so close to grazing that multipliers have no meaning. *another-orbit*: the orbit is too far from the lane, has
       another number of impacts, is unstable, or is not confirmed by a simulation.
-    - `error_estimate`: infinite for a lane near an unstable orbit. An unstable orbit is found only if the lane stays on
-      it, for example by an exact symmetry.
-    - `orbit_residual`: the largest difference between the image of a state under the map and the orbit's next state, in
-      units of the states' scales; `grazing_margin`: the distance from a change in the order of events, defined in the
-      attribute `orbits`.
-    - `orbit_cycles`: the minimal number of crossings per period of the orbit. It is less than the lane's `cycles` if
+    - `error_estimate`: infinite for a lane near an unstable orbit.
+    - `orbit_residual`: the largest scaled difference between the image of a state under the return map and the next
+      state of the orbit. `grazing_margin`: the distance of the orbit from a change in the order of events, as the
+      attribute `orbits` defines it.
+    - `orbit_cycles`: the minimal number of section crossings per period of the orbit, which is less than `cycles` if
       the lane is still settling on an orbit with a shorter period.
-    - `nearby_cycles`: crossings per period of a stable orbit near an irregular or undecided lane, which the lane has
-      not reached; 0 if none was found; not computed in `penetration`. `nearby_impacts`: impacts per period of this
-      orbit; `nearby_distance`: the largest distance of the lane's last crossings from it, in units of half the
-      peak-to-peak ranges of the states.
+    - `nearby_cycles`: section crossings per period of a stable orbit near a lane that is irregular or undecided, or 0
+      if no such orbit was found. `nearby_impacts`: impacts per period of this nearby orbit. `nearby_distance`: distance
+      of the lane from the nearby orbit, in units of the amplitudes.
 
-    **Raises:** `InputError` if the source is not a sweep or the dataset of one, if the sweep cannot be run, or if the
-    scene has neither a section nor pulses.
+    **Raises:** `InputError` if the source is neither a sweep nor the dataset of a sweep, if the sweep cannot be run, or
+    if the scene has neither a section nor pulses.
 
     **Example:**
 

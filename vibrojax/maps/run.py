@@ -40,12 +40,12 @@ def run_sweep(
     **Arguments:**
 
     - `source`: path of a TOML file, a bundled name such as "regime-map", or a dict with the structure of such a file.
-    - `executor`: the object that computes the parts of the sweep: any `concurrent.futures.Executor` with spawned
+    - `executor`: the object that computes the chunks of the sweep: any `concurrent.futures.Executor` with spawned
       processes, such as `ProcessPoolExecutor(4, mp_context=multiprocessing.get_context("spawn"))`, `dask.distributed`'s
-      `client.get_executor()`, or an executor of loky, MPI or submitit. None: this process, on all its cores. The
-      results of all executors are bitwise equal.
+      `client.get_executor()`, or an executor of loky, MPI or submitit. By default, the calling process computes the
+      sweep on all cores. The results of all executors are bitwise equal.
 
-    **Returns:** the dataset, over the grid's dimensions and `start`.
+    **Returns:** the dataset of the sweep; its dimensions are the axes of the grid and `start`.
 
     **Raises:** `InputError`, before any computation, if the sweep is invalid or needs more memory than is available.
 

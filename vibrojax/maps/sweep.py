@@ -32,22 +32,21 @@ _MAX_LISTED = 8
 class Sweep:
     """The content of a sweep file, completed with defaults.
 
-    - `name`: file name of the output, without its ending.
+    - `name`: file name of the output, without extension.
     - `text`: the sweep as TOML.
     - `title`: free text.
     - `file`: name of the sweep file, for messages.
-    - `scene`: name of the scene. `system`: the scene itself.
+    - `scene`: name of the scene. `system`: the scene object.
     - `options`: names of the scene's options, such as the friction law.
-    - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene without
-      selectable initial conditions. `own_starts`: True if point number i has only initial condition number i.
-    - `parameters`: all fixed values by name, in SI units. `given`: those that the user specified.
+    - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene with a
+      single initial condition. `own_starts`: True if each point has one initial condition, the one with the same index.
+    - `parameters`: all fixed parameters by name, in SI units. `given`: the parameters that the user specified.
     - `axes`: values (values,) of each axis of the grid, in the order of the file; empty if only the initial condition
       varies.
-    - `points`: columns (points,) of a table of points, used in place of a grid.
+    - `points`: columns (points,) of the table of points that replaces a grid.
     - `run`: settings of the run.
 
-    Fixed `rpm` and `bit_radius` appear in `parameters` as `v`. If one of the two varies, `v` is in neither `parameters`
-    nor `axes`, but only in the values of the lanes. The same applies to frequencies, which replace `k1` and `gamma`.
+    Fixed values of `rpm` and `bit_radius` are converted to `v` in `parameters`.
     """
 
     name: str

@@ -13,11 +13,11 @@ Sums = dict[str, Lanes]
 
 
 class Moment(NamedTuple):
-    """A step, the lane after the step, and the phase of the oscillation.
+    """Input of a gauge: a step, the lane after the step, and the phase of the oscillation.
 
     - `since` [s]: time from the last section crossing to the end of the step.
     - `frequency` [rad/s]: angular frequency of the section crossings, 0 before the second crossing.
-    - `phase` [rad]: phase of an oscillation with `frequency` at the end of the step, 0 at the first observed crossing.
+    - `phase` [rad]: phase since the first observed section crossing, at the angular frequency of the crossings.
     """
 
     lane: Lane
@@ -28,11 +28,11 @@ class Moment(NamedTuple):
 
 
 class Return(NamedTuple):
-    """A section crossing of the lanes in the mask `here`; every array has shape (lanes,).
+    """A section crossing; the mask `here` marks the lanes that cross, and every array has shape (lanes,).
 
     - `number`: index of the crossing in the observation, from 0.
     - `interval` [s]: time since the previous crossing.
-    - `amplitudes` [m]: half the peak-to-peak range of each oscillating position in this interval.
+    - `amplitudes` [m]: half the peak-to-peak range of each oscillating position since the previous crossing.
     - `share`: elapsed fraction of the observation.
     - `lane`: the lane at the crossing; `sums`: the gauges' sums since the previous crossing.
     """
@@ -47,9 +47,10 @@ class Return(NamedTuple):
 
 
 class Whole(NamedTuple):
-    """The complete return intervals of an observation (between successive section crossings).
+    """All complete return intervals of an observation; each lies between successive section crossings.
 
-    - `returns`: number of these intervals; `time` [s]: their total duration; `sums`: the sums over them.
+    - `returns`: number of complete return intervals; `time` [s]: their total duration; `sums`: the sums over these
+      intervals.
     - `cycles`: number of return intervals per period of the motion, 0 if the motion is not periodic.
     """
 
@@ -64,13 +65,14 @@ K = TypeVar("K", bound=Scene[Any])
 
 
 class Gauge(ABC, Generic[K]):
-    """A group of measured quantities that are accumulated over the steps; no values are stored per step.
+    """A group of measured quantities that are accumulated over the steps of a lane; nothing is stored per step.
 
-    A gauge must define `read`. `increments` returns what a step adds to the sums over complete return intervals (from
-    one section crossing to the next); `close` may replace the sums of an interval at its end. `begin` creates the
-    gauge's *carry*, its state during the observation; `step` and `section` update it. The carry is a pytree of arrays
-    whose last axis is lanes. All methods are pure functions. A gauge is a frozen dataclass, because it is a static
-    argument of compiled programs. A scene lists its gauges, or their names, in `measures`.
+    A gauge must define the method `read`. The method `increments` returns what a step adds to the sums of a return
+    interval, which lasts from one section crossing to the next. The method `close` may replace the sums at the end of a
+    return interval. The method `begin` creates the *carry* of the gauge, its state during the observation; the methods
+    `step` and `section` update this carry. The carry is a pytree of arrays whose last axis is lanes. All methods of a
+    gauge are pure functions. A gauge is a frozen dataclass, because gauges are static arguments of compiled programs. A
+    scene lists its gauges, or their names, in `measures`.
 
     - `summed`: names of the sums; `needs`: capabilities that the scene must have.
     - `variables`: unit and long name of each dataset variable that is not in [vibrojax.io.variables][].
@@ -95,25 +97,25 @@ class Gauge(ABC, Generic[K]):
     needs: ClassVar[tuple[type[Scene[Any]], ...]] = ()
 
     def increments(self, scene: K, c: Any, moment: Moment) -> Sums:
-        """Return the increments of the sums in `summed` due to a step, by name; `c`: the scene's constants."""
+        """Return what a step adds to each sum in `summed`, by name; `c`: the constants of the scene."""
         return {}
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
-        """Return the values, by name, that replace the `sums` between two returns, `interval` [s] apart."""
+        """Return values, by name, that replace the sums of a return interval; `interval`: its duration [s]."""
         return {}
 
     def begin(self, scene: K, c: Any, lane: Lane) -> Any:
-        """Return the carry at the start of the observation."""
+        """Return the gauge's carry at the start of the observation."""
         return ()
 
     def step(self, scene: K, c: Any, carry: Any, moment: Moment) -> Any:
-        """Return the carry after a step; a step with `dt` 0 that hits no guard or marker must not change the carry."""
+        """Return the gauge's carry after a step; an empty step (`dt` 0, and no hits) must not change the carry."""
         return carry
 
     def section(self, scene: K, c: Any, carry: Any, crossing: Return) -> Any:
-        """Return the carry after a section crossing of the lanes in `crossing.here`."""
+        """Return the gauge's carry after a section crossing in the lanes that the mask `crossing.here` selects."""
         return carry
 
     @abstractmethod
     def read(self, scene: K, c: Any, carry: Any, whole: Whole) -> dict[str, Lanes]:
-        """Return the features by name, each (lanes,)."""
+        """Return the measured quantities, by name, as arrays (lanes,)."""

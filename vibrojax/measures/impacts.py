@@ -17,7 +17,7 @@ from vibrojax.physics.arrays import Array, Flags, Lanes, keep
 from vibrojax.scenes.capabilities import Driven, HasContact, HasFriction, HasImpacts, HasRock
 from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
-from vibrojax.stepping.polynomial import highest, integral, value
+from vibrojax.stepping.polynomial import extremes, highest, integral, value
 from vibrojax.stepping.series import known
 
 Pair = tuple[Lanes, Lanes]
@@ -148,9 +148,8 @@ class Hole(Gauge[HasRock[Any]]):
         return jnp.minimum(compression, 0), compression
 
     def step(self, scene: HasRock[Any], c: Any, carry: Pair, moment: Moment) -> Pair:
-        compression = moment.step.polynomials[scene.place("compression")]
-        lowest = -highest([-coefficient for coefficient in compression], moment.step.tau)
-        return jnp.minimum(carry[0], lowest), jnp.maximum(carry[1], highest(compression, moment.step.tau))
+        low, high = extremes(moment.step.polynomials[scene.place("compression")], moment.step.tau)
+        return jnp.minimum(carry[0], low), jnp.maximum(carry[1], high)
 
     def read(self, scene: HasRock[Any], c: Any, carry: Pair, whole: Whole) -> Sums:
         rates = _rates(scene, c, whole.sums, whole.time, whole.sums["impacts"], carry[0])

@@ -11,7 +11,7 @@ from vibrojax.scenes.capabilities import HasFriction
 from vibrojax.scenes.declared import Section
 from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
-from vibrojax.stepping.polynomial import extremes, highest, integral, value
+from vibrojax.stepping.polynomial import extremes, integral, value
 from vibrojax.stepping.series import known
 
 EIGHTHS = 8
@@ -50,8 +50,8 @@ class Swings(Gauge[Scene[Any]]):
             low, high = widened(swung, x)
             if swing.velocity is None:  # no marker ends steps at the turning points
                 polynomial = step.polynomials[scene.place(swing.position)]
-                high = jnp.maximum(high, highest(polynomial, step.tau))
-                low = jnp.minimum(low, -highest([-k for k in polynomial], step.tau))
+                least, greatest = extremes(polynomial, step.tau)
+                low, high = jnp.minimum(low, least), jnp.maximum(high, greatest)
             ranges.append((low, high))
         return carry._replace(ranges=tuple(ranges))
 

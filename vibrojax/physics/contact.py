@@ -18,8 +18,8 @@ from vibrojax.physics.arrays import Real, Value
 def raw_force(compression: Value, rate: Value, k0: Value, c0: Value) -> Any:
     """Return k0 d + c0 d' [N] (source, eq. 5.18) for `compression` d [m] and `rate` d' [m/s].
 
-    This is the contact force in the mode in which striker and bit touch; see [vibrojax.scenes][]. It accepts
-    arrays and Taylor series.
+    The result is the contact force while striker and bit touch; see [vibrojax.scenes][]. The function accepts arrays
+    and Taylor series.
     """
     return k0 * compression + c0 * rate
 
@@ -27,7 +27,7 @@ def raw_force(compression: Value, rate: Value, k0: Value, c0: Value) -> Any:
 def force(compression: Real, rate: Real, k0: Real, c0: Real) -> Any:
     """Return the contact force J [N] (source, eq. 5.18): max(k0 d + c0 d', 0) for d >= 0, else 0.
 
-    It accepts arrays only, not Taylor series.
+    The function accepts arrays only, not Taylor series.
     """
     return jnp.where(compression >= 0, jnp.maximum(raw_force(compression, rate, k0, c0), 0), 0)
 
@@ -43,9 +43,9 @@ def damping_ratio(mass: Real, k0: Real, c0: Real) -> Any:
 def restitution(xi: Real) -> Any:
     """Return the ratio of the speeds after and before an impact on a Kelvin-Voigt stop.
 
-    The mass leaves the stop at zero force. Eq. 5.8 of the source is used with its root read as sqrt(1 - xi²), as the
-    motion during the impact requires: R = exp(-2 xi acos(xi)/sqrt(1 - xi²)). Beyond critical damping,
-    acosh(xi)/sqrt(xi² - 1) replaces acos(xi)/sqrt(1 - xi²). At xi = 1 both branches tend to exp(-2) and meet smoothly.
+    The mass leaves the stop when the contact force is zero. The ratio is R = exp(-2 xi acos(xi)/sqrt(1 - xi²)), eq. 5.8
+    of the source with its root read as sqrt(1 - xi²). For xi > 1, acosh(xi)/sqrt(xi² - 1) replaces acos(xi)/sqrt(1 -
+    xi²). At xi = 1 the formulas for weak and strong damping tend to exp(-2) and meet smoothly.
 
     **Arguments:** `xi` >= 0, any shape.
     """

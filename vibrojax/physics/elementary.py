@@ -1,7 +1,7 @@
 """Elementary functions for physical equations.
 
-Each function accepts an array, a Python number, or any other registered number type. The located stepper registers its
-truncated Taylor series, so the same equation serves every stepper.
+Each function accepts arrays, Python numbers, and registered number types such as the truncated Taylor series of the
+located stepper. The same equation therefore serves every stepper.
 
 **Example:**
 
@@ -89,8 +89,9 @@ setattr(greater, "__name__", "maximum")  # noqa: B010 (a type checker does not k
 def maximum(x: Any, y: Any) -> Any:
     """Return the greater of two values.
 
-    In a `vj.System`, the step ends where the other argument becomes greater. Elsewhere, pass a Taylor series as the
-    first argument; for the whole step, the result is then the argument that is greater at its start.
+    In a `vj.System`, a step ends where the smaller argument becomes the greater one. Outside of a `vj.System`, pass a
+    Taylor series as the first argument; the result for the whole step is then the argument that is greater at the start
+    of the step.
     """
     active = BRANCHES.get()
     return greater(x, y) if active is None else active.maximum(x, y)
@@ -104,8 +105,8 @@ def minimum(x: Any, y: Any) -> Any:
 def absolute(x: Any) -> Any:
     """Return the absolute value of x.
 
-    In a `vj.System`, the step ends where x changes its sign. Elsewhere, the sign of a Taylor series is that at the
-    start of the step.
+    In a `vj.System`, a step ends where x changes its sign. Outside of a `vj.System`, a Taylor series has the sign of
+    its value at the start of the step.
     """
     active = BRANCHES.get()
     return magnitude(x) if active is None else active.absolute(x)
@@ -114,7 +115,7 @@ def absolute(x: Any) -> Any:
 def floor(x: Any) -> Any:
     """Return the greatest whole number not above x.
 
-    In a `vj.System`, x may depend on the time and on parameters; the step ends where the result changes.
+    In a `vj.System`, x may depend on the time and on parameters; a step ends where the result of `floor` changes.
     """
     active = BRANCHES.get()
     return whole(x) if active is None else active.floor(x)
@@ -144,7 +145,7 @@ def square(x: Any) -> Any:
 
 
 def integer_power(x: Any, exponent: Any) -> Any:
-    """Return `x**exponent` for number types other than arrays; with a natural exponent, `x` may have any sign."""
+    """Return `x**exponent` for number types other than arrays; if the exponent is natural, `x` may have any sign."""
     if exponent == 1:
         return x
     if isinstance(exponent, int) and exponent >= 2:

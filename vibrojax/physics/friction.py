@@ -27,20 +27,22 @@ Coefficient = Callable[[Any, Numbers], Any]
 class FrictionLaw:
     """A dry-friction law with the force sgn(u) (mu(|u|) m1 g + mu_J(|u|) J) at sliding velocity u.
 
-    Pass your own law to `simulate` or a sweep as `friction`. Laws compare by identity; compiled programs rely on this.
+    Pass your own law to `simulate` or to a sweep as the parameter `friction`. Friction laws compare by identity, as
+    compiled programs require.
 
     **Arguments:**
 
     - `name`: name of the law in sweep files; `reference`: number of its equation in the source.
     - `parameters`: the law's own parameters, by name, from `vj.parameters.table`.
-    - `mu`: function `mu(speed, p)`, the friction coefficient under the bit's weight at sliding speed `speed` >= 0
-      [m/s]; `p` has the law's own parameters by name. `mu(0, p)` is the limit mu(0+), which sets the greatest friction
-      force on a sticking bit. The function uses +, -, *, / and the functions of [vibrojax.physics.elementary][], so
-      that it accepts arrays and Taylor series.
-    - `mu_impact`: the same for mu_J, the friction coefficient under the impact force J; default: `mu`.
-    - `flat_below`: function `flat_below(p)`, a speed [m/s] below which `mu` is constant within rounding error although
-      it varies above. A Taylor series at such a low speed does not predict `mu` at higher speeds. None: there is no
-      such speed.
+    - `mu`: function `mu(speed, p)` that returns the friction coefficient under the bit's weight at the sliding speed
+      `speed` >= 0 [m/s]; `p` has the law's own parameters by name. The limit `mu(0, p)` sets the greatest friction
+      force on a sticking bit. Write `mu` with +, -, *, / and the functions of [vibrojax.physics.elementary][], because
+      it also receives Taylor series.
+    - `mu_impact`: function `mu_impact(speed, p)` that returns the friction coefficient mu_J under the impact force J;
+      default: `mu`.
+    - `flat_below`: function `flat_below(p)` that returns a speed [m/s] below which `mu` is constant within rounding
+      error, although `mu` varies at higher speeds. Taylor series at speeds below `flat_below` do not predict `mu` at
+      higher speeds.
 
     **Example:**
 

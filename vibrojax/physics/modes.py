@@ -41,9 +41,9 @@ def uncoupled_frequencies(p: Numbers) -> tuple[Any, Any]:
 def natural_frequencies(p: Numbers, xp: Any = jnp) -> Float[Array, "*lanes 2"]:
     """Return the two undamped natural frequencies [rad/s] (source, eq. 5.16).
 
-    The last axis has length 2, the lower frequency first. The frequencies are the roots of
-    w⁴ - w² (w1² + w2² (1 + beta)) + w1² w2² = 0. This follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and
-    m2 x2'' = -k2 (x2 - x1). `xp`: the library of the arrays, jax.numpy or numpy.
+    The last axis of the result has length 2; the lower frequency comes first. The frequencies w are the roots of w⁴ -
+    w² (w1² + w2² (1 + beta)) + w1² w2² = 0. The equation for w follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and m2 x2''
+    = -k2 (x2 - x1). `xp`: the array library, jax.numpy or numpy.
     """
     w1_squared = p["k1"] / p["m1"]
     w2_squared = w1_squared * p["gamma"] ** 2
@@ -58,7 +58,7 @@ def natural_frequencies(p: Numbers, xp: Any = jnp) -> Float[Array, "*lanes 2"]:
 def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
     """Return the empirical frequency [rad/s] w = sqrt((k1 + k2)/m1 + share k2/m2) (source, eq. 5.17).
 
-    In Batako's thesis, `share` is 1/4.
+    The factor `share` of k2/m2 is 1/4 in Batako's thesis.
     """
     m2, k2 = striker(p)
     return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)
@@ -67,11 +67,11 @@ def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
 def linearised(p: Numbers, friction_slope: Value) -> Float[Array, "4 4"]:
     """Return the system matrix of the motion linearised about steady sliding (source, eq. 5.15).
 
-    **Arguments:** `p`: scalar parameters; `friction_slope` [N s/m]: dF/du at the drive speed. A negative slope means
-    that friction feeds energy into the vibration.
+    **Arguments:** `p`: scalar parameters; `friction_slope` [N s/m]: dF/du at the drive speed. If `friction_slope` is
+    negative, friction feeds energy into the vibration.
 
-    **Returns:** an array (4, 4) for the state (x1, x1', x2, x2'). The real and imaginary parts of its eigenvalues are
-    the modes' growth rates [1/s] and frequencies [rad/s].
+    **Returns:** an array (4, 4) for the state (x1, x1', x2, x2'). The eigenvalues of the system matrix have the growth
+    rates [1/s] of the modes as real parts, and the frequencies [rad/s] of the modes as imaginary parts.
     """
     m1, k1, c2 = p["m1"], p["k1"], p["c2"]
     m2, k2 = striker(p)

@@ -19,11 +19,11 @@ mostly a thousand; a bit of 20 kg, a fifth of the lightest, is reported as well.
 
 @dataclass(frozen=True)
 class Parameter:
-    """A physical parameter as users write it in a sweep file or a call.
+    """A physical parameter of a scene or a friction law.
 
-    `default` is in `unit`. `lowest` is the lower limit of admissible values; it is excluded if `open_below` is True.
-    Values must be less than `below`. `usual` holds the least and the greatest value in the source or on rigs, None if
-    unknown.
+    The field `unit` is the unit of `default`. A value must be at least `lowest` (above `lowest` if `open_below` is
+    True), and less than the bound `below`. The pair `usual` holds the least and the greatest value in the source or on
+    rigs; None if unknown.
     """
 
     name: str
@@ -132,9 +132,9 @@ def substitutes(parameters: Mapping[str, Parameter]) -> dict[str, Parameter]:
 
 
 def resolved(values: Mapping[str, Any], names: Collection[str] = tuple(REPLACED)) -> dict[str, Any]:
-    """Return `values` in which parameters replace the quantities in `names` from which they follow, if these are there.
+    """Return `values` with the alternative quantities in `names` replaced by the parameters that follow from them.
 
-    These are v = 2 pi rpm/60 bit_radius [m/s], k1 = m1 (2 pi bit_frequency)², and gamma = 2 pi striker_frequency
+    The formulas are v = 2 pi rpm/60 bit_radius [m/s], k1 = m1 (2 pi bit_frequency)², and gamma = 2 pi striker_frequency
     sqrt(m1/k1).
     """
     values = dict(values)

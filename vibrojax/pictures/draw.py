@@ -84,7 +84,8 @@ def draw(picture: plots.Picture | Figure) -> Figure:
         # Ticks are created when the figure is rendered, under the user's settings.
         for axes in figure.axes:
             axes.tick_params(labelsize=rcParams["xtick.labelsize"])
-        figure.align_ylabels()
+        # A label measures the ticks of all axes that it is aligned with.
+        figure.align_ylabels([axes for axes in figure.axes if axes.get_ylabel()])
     return figure
 
 

@@ -27,8 +27,8 @@ class Bit(NamedTuple):
 class HasFriction(Scene[C]):
     """A scene with a bit that slides on the rock with dry friction.
 
-    The mode `slip` is sgn u for the sliding velocity u = x1' + v, and 0 while sticking. `bit_velocity` is the name of
-    the state x1'.
+    The mode `slip` is the sign of the sliding velocity u = x1' + v, and 0 while the bit sticks. The attribute
+    `bit_velocity` is the name of the state x1'.
 
     **Example:**
 
@@ -61,7 +61,7 @@ class HasFriction(Scene[C]):
 
     @abstractmethod
     def flight_rate(self, c: C) -> Any:
-        """Return an upper bound on the rate of change [1/s] without impact, by which too stiff lanes are rejected."""
+        """Return an upper bound on the rate of change [1/s] without impact, by which stiff lanes are rejected."""
 
     @abstractmethod
     def spring_rate(self, c: C) -> Any:
@@ -91,20 +91,22 @@ class HasImpacts(Scene[C]):
 
     @abstractmethod
     def impact_rate(self, c: C, mode: Values, state: Values) -> Any:
-        """Return the velocity of an impact [m/s] from the state after the event at which the impact begins."""
+        """Return the velocity of an impact [m/s], computed from the state after the event that begins the impact."""
 
     @abstractmethod
     def impact_begins(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> Any:
         """Return a mask of the lanes in which an impact begins at an event.
 
-        `mode` is the mode before the event, `state` the state after it, `hits` the masks of guards and markers.
+        `mode` is the mode before the event, `state` is the state after the event, and `hits` has the masks of guards
+        and markers.
         """
 
 
 class HasContact(HasImpacts[C]):
     """A scene with a striker that hits the bit or a stop, so that the forces and energies of impacts are measured.
 
-    The mode `touching` is 1 in contact. Contact begins and ends at zeros of the guard `contact`.
+    The mode `touching` is 1 while striker and bit are in contact. A contact begins and ends at zeros of the guard
+    `contact`.
 
     **Example:**
 
@@ -140,9 +142,9 @@ class HasContact(HasImpacts[C]):
 class HasRock(Scene[C]):
     """A scene with a bit that is driven into the rock.
 
-    The states include `compression` = x3 - x4, `v3` = x3', and `growth`: the growth of x4 since `growth` was last set
-    to zero. The mode `rock` is 0 elastic, 1 yielding, -1 off the rock or 2 at rest; see
-    [vibrojax.scenes.bit_on_rock][].
+    The states include the velocity `v3` = x3' of the bit, the `compression` x3 - x4 of the rock, and `growth`, the
+    growth of the hole's depth x4 since `growth` was last set to zero. The mode `rock` is 0 (elastic), 1 (yielding), -1
+    (bit off the rock) or 2 (bit at rest); see [vibrojax.scenes.bit_on_rock][].
 
     **Example:**
 
@@ -178,8 +180,8 @@ class HasRock(Scene[C]):
 class Driven(Scene[C]):
     """A scene under a prescribed force: pulses, or a force without pulses such as a swept sine.
 
-    With pulses, the beginning of a pulse takes the place of the section crossing, and means are over complete pulse
-    periods. `pulse_states` are then the states of the return map.
+    If the force has pulses, the beginning of each pulse replaces the section crossing, means are taken over complete
+    pulse periods, and `pulse_states` names the states of the return map.
 
     **Example:**
 

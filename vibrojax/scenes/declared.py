@@ -16,9 +16,10 @@ is for a scene with a single initial condition."""
 class State(NamedTuple):
     """A continuous state: name, unit and meaning.
 
-    `is_velocity` includes the state in the error of a step. That error is measured on the velocities, relative to
-    [vibrojax.scenes.scene.Scene.speed_scale][], so choose units in which velocities have similar magnitudes.
-    `shown`: False to leave the state out of trajectories. `offset`: constant that trajectories add to the state.
+    `is_velocity`: True to include the state in the error of a step. The error of a step is measured on velocities,
+    relative to [vibrojax.scenes.scene.Scene.speed_scale][], so choose units in which velocities have similar
+    magnitudes. `shown`: False to leave the state out of trajectories. `offset`: constant that trajectories add to the
+    state.
 
     **Example:**
 
@@ -37,7 +38,7 @@ class State(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A discrete state: `name`, `meaning` of its values, and `calmest`, the value at which steps are longest.
+    """A discrete state: its `name`, the `meaning` of its values, and the value `calmest`, at which steps are longest.
 
     **Example:**
 
@@ -51,10 +52,11 @@ class Mode(NamedTuple):
 
 
 class Marker(NamedTuple):
-    """An event function, the state `velocity`: steps end on its zeros in either direction, where it is set to zero.
+    """An event function that is a state, mostly a velocity: steps end where the state crosses zero.
 
-    `velocity` need not be a velocity: any state of similar magnitude will do, such as the phase of a forcing. No guard
-    may have the same zeros.
+    At the end of a step on a marker, the state of the marker is set to zero. The field `velocity` of a marker names its
+    state: a velocity, or another state of similar magnitude, such as the phase of a forcing. No guard may have the same
+    zeros as a marker.
 
     **Example:**
 
@@ -68,17 +70,17 @@ class Marker(NamedTuple):
 
 @dataclass(frozen=True)
 class Guard:
-    """A condition that ends a mode.
+    """A condition that ends a mode of the scene, such as sticking.
 
-    - `name`: the guard's key in `hits`.
-    - `function`: function `function(constants, mode, state)`, positive while the mode lasts and zero at its end. It
-      accepts arrays and Taylor series.
-    - `resolution`: function `resolution(constants, mode)`, the magnitude up to which values count as zero: a small
-      multiple of the rounding error of a typical value.
-    - `slope_resolution`: function `slope_resolution(constants, mode, h)`, the magnitude up to which the first-order
-      change over a step `h` [s] counts as zero if the step starts on the guard; None: 16 times `resolution`.
-    - `is_switch`: True for a jump of the field, such as that of dry friction, which a smoothing stepper spreads over a
-      width, so that the guard is never reached.
+    - `name`: name of the guard, and its key in `hits`.
+    - `function`: a function of arrays or Taylor series, `function(constants, mode, state)`, which is positive while the
+      mode lasts and zero at the end of the mode.
+    - `resolution`: function `resolution(constants, mode)`, which returns the magnitude up to which a value of the guard
+      counts as zero.
+    - `slope_resolution`: function `slope_resolution(constants, mode, h)` that returns the magnitude up to which the
+      first-order change of the guard over a step `h` [s] counts as zero; None: 16 times `resolution`.
+    - `is_switch`: True if the vector field jumps at the guard, as dry friction does. A smoothing stepper spreads the
+      jump of the field over a width of velocities.
 
     **Example:**
 
@@ -97,11 +99,11 @@ class Guard:
 
 
 class Swing(NamedTuple):
-    """An oscillating state `position`, the state `velocity` that is its rate of change, and the variable `amplitude`.
+    """Names of an oscillating state, of its rate of change, and of the dataset variable for its amplitude.
 
-    `amplitude` is the variable's name for half the peak-to-peak range of the position. Steps end on the turning points
-    if a marker has this velocity. `velocity` may be None if no state is the rate of change, but only in the first of
-    the `swings`, and only if the section has `at`.
+    The amplitude is half the peak-to-peak range of the state `position`. If a marker has the `velocity` of the swing,
+    steps end on the turning points of its position. If the section has a state `at`, the first swing may have the
+    velocity None.
 
     **Example:**
 
@@ -116,18 +118,21 @@ class Swing(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """The Poincaré section: the zeros of the state `at`, or else of the velocity of the first of the `swings`.
+    """The Poincaré section, which is defined by zeros of a state.
 
-    The state needs a marker and crosses zero upwards if `rising`, else downwards. Between two crossings it must have
-    passed the level `rearm(constants)` in the other direction, so that a velocity that fluctuates about zero is counted
-    once. Periodicity is checked on the positions of all `swings` and on the velocities of all but the first. Positions
-    are scaled by the amplitude, velocities by the amplitude times 2 pi over the time between crossings.
+    The state that defines the section is `at`, or by default the `velocity` of the first of the `swings`, and needs a
+    marker. At the section, the state crosses zero upwards if `rising` is True, else downwards. Between two crossings of
+    the section the state must pass the level `rearm(constants)` in the other direction, so that fluctuations about zero
+    do not count. Periodicity is checked on the positions of all `swings`, and on all their velocities but the first. A
+    position is scaled by its amplitude, and a velocity by the amplitude of the position times 2 pi over the time
+    between crossings.
 
-    A periodically forced motion becomes autonomous with one additional state, the forcing's phase. A guard must reduce
-    this phase by one full period, at a phase other than zero. A section `at` the phase is stroboscopic.
+    To make a periodically forced motion autonomous, add the phase of the forcing as a state. A guard must reduce the
+    phase of the forcing by one full period, at a phase other than zero. A section at a fixed phase of the forcing is
+    stroboscopic.
 
-    `typical(constants)` returns typical magnitudes of the positions by name. With it, repeats and equilibria are
-    detected as for a `vj.System`.
+    If `typical(constants)` returns typical magnitudes of the positions by name, repeats are detected as in a
+    `vj.System`.
 
     **Example:**
 

@@ -32,34 +32,33 @@ C = TypeVar("C")
 class Scene(ABC, Generic[C]):
     """A hybrid dynamical system.
 
-    A scene is a frozen dataclass. Its fields are the options that are the same for all lanes, such as a friction law. A
-    scene defines the attributes and abstract methods below. The capabilities that only some scenes have are in
+    A scene is a frozen dataclass. The fields of a scene are options with one value for all lanes, such as a friction
+    law. A scene defines the attributes and abstract methods below. Capabilities that only some scenes have are in
     [vibrojax.scenes.capabilities][].
 
-    All functions are pure and take arrays of one shape (lanes). `field` and the guards' functions also take Taylor
-    series, so they use +, -, *, / and [vibrojax.physics.elementary][].
+    All methods of a scene are pure and take arrays of one shape (lanes). The method `field` and the functions of guards
+    also take Taylor series, so write them with +, -, *, / and [vibrojax.physics.elementary][].
 
     - `name`: name of the scene in sweep files.
     - `states`: the continuous states; `modes`: the discrete states, floats such as 0, 1, -1.
-    - `markers`: event functions, each of them a state (mostly a velocity) whose zeros end a step.
-    - `section`: the Poincaré section; None if the scene is measured over the pulses of its prescribed force.
+    - `markers`: states, mostly velocities, at whose zeros steps end.
+    - `section`: the Poincaré section; None if quantities are measured over the pulses of a prescribed force.
     - `starts`: names of the initial conditions, the default first.
-    - `start_states`: states that an initial condition in vector form contains; all other states are then zero. Empty if
-      there is only one initial condition.
+    - `start_states`: states whose values a vector of initial conditions contains; the other states begin at zero. For a
+      scene with a single initial condition, `start_states` is empty.
     - `measures`: the gauges (groups of measured quantities) of the scene, as objects or names.
-    - `choices`: for each option that is specified by name, a registry of its values by name. An option that is a field
-      of the dataclass takes the registry's value unchanged (`friction`, `pulse_shape`). Any other option sets several
-      parameters: those that the value has as attributes (`rock` sets `threshold` and `k3`). A subclass extends the
-      registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`. Input is checked against the
-      registry.
-    - `choice_meanings`: meanings of the choices that set several parameters, for datasets in which they vary.
-    - `autonomous`: True if the equations do not depend on time, so that a state at rest stays at rest.
-    - `clocks`: states and guards that depend on time alone, so that a motion cannot graze them.
+    - `choices`: for each option that users specify by name, a registry of values by name. An option that is a field of
+      the dataclass, such as `friction`, takes the registry's value. An option that is not a field, such as `rock`, sets
+      the parameters that are attributes of its value, such as `threshold` and `k3`. A subclass extends the registry of
+      its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
+    - `choice_meanings`: description, for datasets, of each option that sets several parameters.
+    - `autonomous`: True if the equations do not depend on time.
+    - `clocks`: states and guards that depend on time alone, and so cannot be grazed.
     - `usual_times`: default times of settling and of the observation [s].
-    - `ends_at_once`: True if a mode may begin with a negative guard. The mode then ends at once.
-    - `fault_reasons`: reasons why a mode may not be able to go on, among the flags of the variable `reason`.
-    - `drifting`: states that grow without bound and do not affect the others; the return map does not include them.
-    - `redundant`: states that follow from the others, as `on_surfaces` determines them.
+    - `ends_at_once`: True if a mode may begin with a negative guard, so that it ends immediately.
+    - `fault_reasons`: reasons for which a mode can fail, among the flags of the variable `reason`.
+    - `drifting`: states that grow without bound and do not affect other states; the return map leaves these states out.
+    - `redundant`: states that the method `on_surfaces` computes from the other states.
 
     **Example:**
 
@@ -102,14 +101,14 @@ class Scene(ABC, Generic[C]):
 
     @abstractmethod
     def start(self, c: C, name: Start, shape: tuple[int, ...]) -> Values:
-        """Return the state at t = 0, arrays of `shape`, for an initial condition (a name or a vector)."""
+        """Return the state at t = 0 for an initial condition (a name or a vector), as arrays of the given shape."""
 
     @abstractmethod
     def mode_at(self, c: C, state: Values) -> Values:
         """Return the mode in which the motion continues from `state`."""
 
     def on_surfaces(self, c: C, mode: Values, state: Values) -> Values:
-        """Return the initial state, moved onto the surfaces on which `mode` holds the motion; by default, unchanged."""
+        """Return the initial state on the surfaces to which `mode` confines the motion; by default, unchanged."""
         return state
 
     @abstractmethod
@@ -118,18 +117,19 @@ class Scene(ABC, Generic[C]):
 
     @abstractmethod
     def guards(self) -> tuple[Guard, ...]:
-        """Return the guards (conditions that end a mode); every call returns the same ones in the same order."""
+        """Return the guards (conditions that end a mode); every call must return the same guards in the same order."""
 
     @abstractmethod
     def reset(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
         """Return mode and state after an event.
 
-        `hits` has one mask per guard and marker, by name. In each lane at most one of the masks is True.
+        The mapping `hits` has a mask (lanes,) for each guard and marker; in each lane, at most one of these masks is
+        True.
         """
 
     @abstractmethod
     def rate(self, c: C, mode: Values) -> Any:
-        """Return the fastest rate of change in the mode [1/s], which determines the step length."""
+        """Return the fastest rate of change [1/s] in a mode, which determines the length of steps."""
 
     @abstractmethod
     def speed_scale(self, c: C) -> Any:
@@ -138,7 +138,7 @@ class Scene(ABC, Generic[C]):
     # Most scenes keep these defaults.
 
     def refused(self, p: Mapping[str, Any]) -> tuple[str, Any] | None:
-        """Return the reason why some lanes are rejected (a string) and a mask of them (lanes,), or None."""
+        """Return the reason for which lanes are rejected and a mask of the rejected lanes (lanes,); None if none is."""
         return None
 
     def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
@@ -151,10 +151,10 @@ class Scene(ABC, Generic[C]):
         return ()
 
     def across_impacts(self, c: C, state: Values) -> list[tuple[Any, Values]]:
-        """Return, for each of the `stops`, the gap relative to a typical gap, and the state beyond the impact.
+        """Return, for each rigid stop, the gap over a typical gap, and the state on the other side of the impact.
 
-        For bodies that approach, this is the state after the impact; for bodies that separate, the state before it. The
-        motion of both sides is extrapolated linearly over the time to the impact, so that the gap should be small; it
+        If the bodies approach, this is the state after the next impact; if the bodies separate, it is the state before
+        the last impact. The method extrapolates the motion linearly to the impact, so the gap should be small; a gap
         may be negative.
         """
         return []
@@ -320,7 +320,7 @@ class Scene(ABC, Generic[C]):
         return (*(guard.resolution(c, mode) for guard in self.guards()), *(speed for _ in self.markers if marked))
 
     def typical_guard_values(self, c: C, mode: Values, state: Values) -> Values:
-        """Return, for each guard, the magnitude to which grazing margins are relative."""
+        """Return, for each guard, the scale of its values in grazing margins."""
         small = self.resolutions(c, mode, state, marked=False)
         return tuple(x / (ROUNDINGS * jnp.finfo(x.dtype).eps) for x in small)
 

@@ -8,6 +8,7 @@ from vibrojax.scenes import Scene
 from vibrojax.settings.fields import Settings, setting
 from vibrojax.settings.values import choice
 from vibrojax.stepping import STEPPERS, Accuracy, AccuracyRequest, Located, Stepper, stepper_named
+from vibrojax.stepping.located import HIGH_ORDER, HIGH_ORDER_ERROR
 
 
 def _read_method(place: Place, value: object) -> str | Stepper:
@@ -27,11 +28,11 @@ class RunSettings(Settings):
     settle: float = setting(40.0, "simulated time before the observation [s]", unit="s", least=0.0)
     observe: float = setting(8.0, "duration of the observation [s]", unit="s", above=0.0)
     error: float = setting(
-        1e-4, "accepted error_estimate of a periodic lane; it determines the steps", above=0.0, below=1.0
+        1e-4, "accepted error_estimate of a periodic lane; it determines the length of the steps", above=0.0, below=1.0
     )
     end_early: bool = setting(True, "whether a lane may end early once it has settled")
-    keep_returns: int = setting(0, "number of last returns to store", least=0)
-    orbits: bool = setting(False, "whether to find the orbits of periodic lanes, and their multipliers", later=True)
+    keep_returns: int = setting(0, "number of section crossings to store, counted from the end", least=0)
+    orbits: bool = setting(False, "whether to compute the orbits of periodic lanes and their multipliers", later=True)
     lyapunov: bool = setting(
         False,
         "whether to compute the largest Lyapunov exponent of each lane, and classify its motion by it",
@@ -39,26 +40,33 @@ class RunSettings(Settings):
     )
     carry: str | None = setting(
         None,
-        "axis along which lanes run in order, up and then down, each from the final state of the previous one",
+        "axis along which lanes run in order, up and then down; each starts in the final state of the previous lane",
         read=_read_carry,
         later=True,
     )
     method: str | Stepper = setting("located", "stepping method: located or smoothed", read=_read_method)
-    step: float | None = setting(None, "length of the steps [s]; by default it follows from error", unit="s", above=0.0)
+    step: float | None = setting(
+        None, "length of the steps [s]; by default it is derived from error", unit="s", above=0.0
+    )
     smoothing: float | None = setting(
         None,
-        "velocity over which the smoothed method spreads the jump of friction [m/s]; by default from error",
+        "width in velocity [m/s] over which the smoothed method smooths friction; by default it is derived from error",
         unit="m s-1",
         above=0.0,
     )
     precision: str = setting("float64", "type of numbers: float64 or float32", choices=("float64", "float32"))
     chunk: int | None = setting(
-        None, "number of lanes computed and stored together; by default the program decides", least=1, results=False
+        None,
+        "number of lanes that are computed and stored together; by default the program chooses it",
+        least=1,
+        results=False,
     )
 
     @property
     def stepper(self) -> Stepper:
-        return stepper_named(self.method)
+        """The stepper; the order of the one that is called located follows from the accepted error."""
+        high = self.method == Located.name and self.error <= HIGH_ORDER_ERROR
+        return Located(HIGH_ORDER) if high else stepper_named(self.method)
 
     @property
     def requested(self) -> AccuracyRequest:

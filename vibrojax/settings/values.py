@@ -167,7 +167,7 @@ _PACKAGE = str(Path(__file__).parents[1])
 
 
 class UnusualValue(UserWarning):
-    """Warning about a value that is probably not in SI units: it is far outside the range in the source and on rigs.
+    """Warning about a value that is probably not in SI units, because it is far outside the range on rigs.
 
     **Example:**
 

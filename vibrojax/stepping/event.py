@@ -26,9 +26,9 @@ class Small(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """The functions whose zeros may end a step in one mode: the scene's guards, and its markers if `marked` is true.
+    """The functions whose zeros may end a step in one mode: guards of the scene, and markers if `marked` is true.
 
-    If the stepper `smooths` dry friction, the guard of friction is never reached.
+    A stepper that `smooths` dry friction never reaches the guard of friction.
     """
 
     scene: Scene[Any]

@@ -1,7 +1,6 @@
 """Polynomials in the scaled time tau of one step: values, slopes, integrals, maxima, and the root that ends a step."""
 
 from collections.abc import Sequence
-from functools import reduce
 from typing import Any
 
 from vibrojax.lazy import jax, jnp, lax
@@ -32,36 +31,39 @@ def integral(coefficients: Coefficients, tau: Real) -> Any:
     return tau * value([c / (k + 1) for k, c in enumerate(coefficients)], tau)
 
 
-def highest(coefficients: Coefficients, tau: Array) -> "jax.Array":
-    """Return the greatest value between 0 and tau: at an end, or at a maximum in between.
+INTERVALS, EXTREMUM_ITERATIONS = 6, 2
+"""Intervals of a step between samples, and Newton iterations for the zero of the slope, from the best sample."""
 
-    The maximum is found with two Newton iterations from the zero of a linear slope. For 2 rad of a sine wave, the
-    maximum is exact to 1e-10 of its height.
-    """
-    rate = [k * c for k, c in enumerate(coefficients)][1:]
-    start, end = rate[0], value(rate, tau)
-    turns = (start > 0) & (end < 0)
-    top = jnp.where(turns, tau * start / jnp.where(turns, start - end, 1), 0)
-    for _ in range(2):
-        better = keep(top - value(rate, top) / slope(rate, top))
-        top = jnp.where(turns & (better > 0) & (better < tau), better, top)
-    return jnp.maximum(jnp.maximum(coefficients[0], value(coefficients, tau)), value(coefficients, top))
+
+def highest(coefficients: Coefficients, tau: Array) -> "jax.Array":
+    """Return the greatest value between 0 and tau, at an end or at a maximum in between; see `extremes`."""
+    return _highest(coefficients, tau, _samples(coefficients, tau))
 
 
 def extremes(coefficients: Coefficients, tau: Array) -> "tuple[jax.Array, jax.Array]":
-    """Return the least and the greatest value between 0 and tau, for a polynomial with at most one turning point there.
+    """Return the least and the greatest value between 0 and tau.
 
-    The turning point is found as in `highest`.
+    For 2 rad of a sine wave, the longest stride, on a ramp of any slope, errors are at most 2.5e-3 of the wave's
+    amplitude. They are that large only where two turning points are close to each other: 99 % are below 1e-8.
     """
+    samples = _samples(coefficients, tau)
+    return -_highest([-c for c in coefficients], tau, [-x for x in samples]), _highest(coefficients, tau, samples)
+
+
+def _samples(coefficients: Coefficients, tau: Array) -> list[Array]:
+    return [value(coefficients, tau * (k / INTERVALS)) for k in range(INTERVALS + 1)]
+
+
+def _highest(coefficients: Coefficients, tau: Array, samples: list[Array]) -> "jax.Array":
+    best, top = samples[0], jnp.zeros_like(tau)
+    for k, sample in enumerate(samples[1:], start=1):
+        above = sample > best
+        best, top = jnp.where(above, sample, best), jnp.where(above, tau * (k / INTERVALS), top)
     rate = [k * c for k, c in enumerate(coefficients)][1:]
-    start, end = rate[0], value(rate, tau)
-    turns = start * end < 0
-    top = jnp.where(turns, tau * start / jnp.where(turns, start - end, 1), 0)
-    for _ in range(2):
+    for _ in range(EXTREMUM_ITERATIONS):
         better = keep(top - value(rate, top) / slope(rate, top))
-        top = jnp.where(turns & (better > 0) & (better < tau), better, top)
-    values = keep((coefficients[0], value(coefficients, tau), value(coefficients, top)))
-    return reduce(jnp.minimum, values), reduce(jnp.maximum, values)
+        top = jnp.where((better > 0) & (better < tau), better, top)
+    return jnp.maximum(best, value(coefficients, top))
 
 
 def first_guess(start: Array, rate: Array, end: Array) -> "jax.Array":

@@ -61,7 +61,8 @@ def _hermite(start: Array, end: Array, rate: Array, end_rate: Array) -> list[Arr
 class Smoothed(Stepper):
     """The stepper that spreads the jump of dry friction over a width, with Runge-Kutta steps of fixed length.
 
-    Of the settings in `Accuracy`, it uses `smoothing` [m/s], `step` [s] and, for a stiff contact, `stride`.
+    Of the settings in `Accuracy`, the stepper `Smoothed` uses `smoothing` [m/s], `step` [s] and, for a stiff contact,
+    `stride`.
 
     **Example:**
 

@@ -31,7 +31,7 @@ class Clock(NamedTuple):
 class Lane(NamedTuple):
     """A lane at one instant: clock, continuous state and discrete mode.
 
-    `trial` [s] limits the length of the next trial step. Every array has shape (lanes,).
+    The field `trial` [s] limits the length of the lane's next trial step. Every array has shape (lanes,).
     """
 
     clock: Clock
@@ -41,13 +41,14 @@ class Lane(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step, the input of measures.
+    """A completed time step, from which gauges measure.
 
     - `before`, `mode`: state and mode at the start of the step; `after`: state at the start of the next step.
-    - `polynomials`: `polynomials[i][k]` is the coefficient of s^k of state i; s = time/h runs from 0 to `tau`.
-    - `h` [s]: unit of tau; `dt` [s]: duration of the step, 0 if no step was taken.
-    - `hits`: for each guard and marker, by name, a mask of the lanes whose step ended on it.
-    - `falling`: for each marker, a mask of the lanes in which it crosses zero downwards.
+    - `polynomials`: `polynomials[i][k]` is the coefficient of s^k in the polynomial of state i, where s = time/h runs
+      from 0 to `tau`.
+    - `h` [s]: time unit of `tau`; `dt` [s]: duration of the step, 0 if no step was taken.
+    - `hits`: for each guard and marker, by name, a mask of the lanes whose step ended on its zero.
+    - `falling`: for each marker, a mask of the lanes in which the marker crosses zero downwards.
     """
 
     before: tuple[Array, ...]
@@ -70,11 +71,12 @@ def lane_at(scene: Scene[Any], constants: Any, state: tuple[Array, ...]) -> Lane
 
 
 class Accuracy(NamedTuple):
-    """Settings that determine the steps, as numbers or arrays. A change of the settings needs no recompilation.
+    """Settings that determine the length of steps, as numbers or arrays; changing them needs no recompilation.
 
-    - `tolerance`: relative magnitude of the last Taylor terms above which a step is shortened (located stepper).
+    - `tolerance`: for the located stepper, the relative magnitude of the last Taylor terms above which a step is
+      shortened.
     - `stride`: longest step in units of 1/(rate of the mode); `step`: longest step [s].
-    - `smoothing`: sliding velocity [m/s] over which the jump of dry friction is spread (smoothed stepper).
+    - `smoothing`: for the smoothed stepper, the width in sliding velocity [m/s] of the smoothed friction.
     """
 
     tolerance: Any
@@ -102,7 +104,7 @@ class AccuracyRequest(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The time `end` [s] at which the steps end. Only the lanes in the mask `moving` step."""
+    """The time `end` [s] until which lanes step, and a mask of the lanes that are `moving`."""
 
     end: Real
     moving: Flags
@@ -115,13 +117,14 @@ class Stepper(ABC):
     compiled programs, so a stepper is a frozen dataclass without arrays.
 
     - `name`: name of the stepper in sweep files.
-    - `order`: order of the method; `degree`: degree of the polynomials that describe a step.
-    - `coarser_by`: tolerance or smoothing width of the check run (the coarser run that gives the error) over that of
-      the main run.
-    - `error_share`: ratio of the estimated error of the main run to the difference of the two runs.
-    - `smooths`: True if the jump of dry friction is spread over a width, so that the bit never sticks.
-    - `rests`: True if motion within rounding error is treated as rest. Lanes that are too stiff or too slow for their
-      precision are then rejected.
+    - `order`: order of the integration method; `degree`: degree of the polynomials that describe a step.
+    - `coarser_by`: ratio between check run and main run of the tolerance or smoothing width; the error is estimated
+      from the check run.
+    - `check_settles`: additional settling time of the check run of a settled lane, as a fraction of the lane's settling
+      time. If it is zero, the check run is extrapolated from its returns, so main run and check run must be close.
+    - `smooths`: True if the stepper smooths dry friction over a width, so that the bit never sticks.
+    - `rests`: True if the stepper treats motion within rounding error as rest, and rejects lanes that are too stiff or
+      too slow for their precision.
 
     **Example:**
 
@@ -139,7 +142,7 @@ class Stepper(ABC):
     name: ClassVar[str]
     order: int
     coarser_by: ClassVar[float]
-    error_share: ClassVar[float]
+    check_settles: ClassVar[float] = 0.5
     smooths: ClassVar[bool] = False
     rests: ClassVar[bool] = False
 
@@ -148,15 +151,20 @@ class Stepper(ABC):
     def degree(self) -> int:
         """Degree of the polynomials that describe a step."""
 
+    @property
+    @abstractmethod
+    def error_share(self) -> float:
+        """Ratio of the estimated error of the main run to the difference between main run and check run."""
+
     @abstractmethod
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
-        """Return the lanes after one step, and the step; if `marked` is true, steps end on markers besides guards."""
+        """Return the lanes after one step, and this step, which ends on guards, and on markers if `marked` is true."""
 
     @abstractmethod
     def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
-        """Return the settings for the requested error tolerance in `scene`; values chosen by the user are kept."""
+        """Return the settings that reach the requested error in a scene; values that the user chose are kept."""
 
     def least_error(self, request: AccuracyRequest) -> float:
         """Return the least error tolerance that lanes can meet with the other settings in `request`; 0 if unknown."""

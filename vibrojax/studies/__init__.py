@@ -20,26 +20,26 @@ HOMES = {
 """Module and class of each of the package's own analyses, which are imported when they are needed."""
 
 WORDS = {
-    "lane": "one simulation of a batch: one set of parameter values with one initial condition, its start",
-    "section": "the instant at which the bit overtakes the drive",
-    "return": "one crossing of the section; periods and repeats are counted in returns",
+    "lane": "one simulation of a sweep, with one set of parameter values and one start (initial condition)",
+    "section": "the Poincaré section: the instant at which the bit overtakes the drive",
+    "return": "one crossing of the Poincaré section; the length of a cycle is counted in returns",
     "relief P/D": "mean force on the bit over the force D (threshold) at which the rock yields",
-    "regime": "how the striker moves: one impact a period (single-impact), several, none, or irregularly (irregular)",
-    "orbit": "a motion that repeats exactly; stable if it attracts its neighbourhood",
-    "multiplier": "factor by which a small distance from an orbit grows over one repeat; all moduli below 1: stable",
-    "family": "orbits that form a continuous curve as one parameter changes, stable and unstable",
-    "branch": "a part of a family; 0 is the first, others leave it at period doublings and branch points",
-    "special point": "point of a family at which its stability, its order of events or its direction changes",
+    "regime": "the kind of motion of the striker, such as single-impact (one impact per period) or irregular",
+    "orbit": "a motion that repeats exactly; it is stable if it attracts all neighbouring motions",
+    "multiplier": "growth per period of a small distance from an orbit; if all moduli are below 1, the orbit is stable",
+    "family": "the stable and unstable orbits that form a continuous curve as one parameter changes",
+    "branch": "a part of a family; branch 0 is the first, and others begin at period doublings and branch points",
+    "special point": "a point of a family at which its stability, its direction or the order of events changes",
     "fold": "the family turns back, and a stable and an unstable orbit meet",
     "period-doubling": "the orbit loses its stability to one that repeats after twice as many returns",
     "torus": "the orbit loses its stability to a motion with a second frequency",
     "branch-point": "another family of orbits crosses, such as the symmetric one of a pair that loses its symmetry",
     "grazing": "an impact appears or vanishes",
     "stick": "a stick phase of the bit, or a backward slip, appears or vanishes",
-    "section point": "the bit only just overtakes the drive; beyond this point, the number of returns differs",
-    "hopf": "the amplitude shrinks to zero at an equilibrium, which changes its stability",
+    "section point": "the bit barely overtakes the drive; beyond this point, the number of returns changes",
+    "hopf": "the amplitude of the orbit shrinks to zero at an equilibrium, whose stability changes there",
     "end": "a bound is reached, or the family ends for the reason in the note",
-    "reading R1, R2, ...": "interpretation of a passage of the source that can be read in two ways",
+    "reading R1, R2, ...": "this package's interpretation of a passage of Batako's thesis that can be read in two ways",
 }
 
 FAMILY_WORDS = tuple(word for word in WORDS if word not in ("lane", "relief P/D", "regime", "reading R1, R2, ..."))

@@ -101,13 +101,12 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
 
     **Arguments:**
 
-    - `scenes`: names of the scenes; None: all scenes, or two scenes if `quick`.
-    - `quick`: whether to run only a few settings and lanes, in some seconds, to test the installation rather than to
-      measure.
+    - `scenes`: names of the scenes to measure; by default all scenes, or two scenes if `quick`.
+    - `quick`: True to run only a few settings and lanes, in some seconds, as a test of the installation.
 
-    **Returns:** a dataset along `setting` with run times, errors, and failures with their reasons. Its coordinates are
-    the strings `scene`, `method`, `precision` and `varied` (the varied quantity), and `value`, the value of that
-    quantity.
+    **Returns:** a dataset along the dimension `setting`, with run times, errors, and reasons of failures. Each setting
+    has the coordinates `scene`, `method`, `precision`, `varied` (name of the varied quantity) and `value` (value of
+    this quantity).
 
     **Raises:** `InputError` for an unknown scene.
 

@@ -30,7 +30,7 @@ Source = Any
 
 
 class SummaryPart(NamedTuple):
-    """One part of a summary: `lines` of text printed under `name`, and the same content as `facts` by JSON key.
+    """One part of a summary, with a `name`: the `lines` of its text, and the same content as `facts` by JSON key.
 
     **Example:**
 
@@ -48,8 +48,8 @@ class PictureRule(NamedTuple):
     """A rule that assigns a picture to datasets with certain contents.
 
     - `shows`: short description of the picture.
-    - `fits`: function that returns whether the rule applies. Its argument has facts about the dataset as attributes:
-      the names of its `variables` and `dimensions`, its `axes`, and others.
+    - `fits`: function that returns whether the rule applies to a dataset. The argument of `fits` describes the dataset
+      by the attributes `variables`, `dimensions`, `axes` and others.
     - `draw`: function that takes the dataset and returns a matplotlib figure, or plots of
       [vibrojax.pictures.plots][], which the explorer page draws itself.
 
@@ -71,12 +71,13 @@ class PictureRule(NamedTuple):
 
 
 class Analysis(Settings):
-    """An analysis, whose settings are attributes of the object and whose result is a dataset.
+    """An analysis: an object with settings as attributes, and with a dataset as result.
 
-    A subclass provides `kind` and `run`, and usually `variables`, `picture` or `pictures`, and `summary`. If the
-    subclass is a dataclass, its fields become command-line options: `along: str = "v"` becomes `--along`, and
-    `field(metadata={"help": ...})` sets the help text. Pass an instance to [vibrojax.studies.analysis.analyse][], or
-    register the class under the entry point `vibrojax.analyses`, which adds the command `vibrojax KIND FILE`.
+    A subclass of `Analysis` must define `kind` and `run`; most also define `variables`, `picture` or `pictures`, and
+    `summary`. If the subclass of `Analysis` is a dataclass, the fields become command-line options: `along: str = "v"`
+    becomes `--along`, and `field(metadata={"help": ...})` sets the help text. Pass an instance of the subclass to
+    [vibrojax.studies.analysis.analyse][], or register the class under the entry point `vibrojax.analyses`, which adds
+    the command `vibrojax KIND FILE`.
 
     **Example:** the fraction of lanes in each regime
 
@@ -97,19 +98,19 @@ class Analysis(Settings):
     """
 
     subject: ClassVar[str] = "sweep"
-    """Kind of input of the command: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
+    """Input that the command takes: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
 
     kind: ClassVar[str] = ""
-    """Attribute `kind` of the analysis's datasets, and name of its command."""
+    """The attribute `kind` of the datasets, and the name of the command."""
 
     command: ClassVar[str] = ""
     """Name of the command, if it differs from the kind."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """Variables by name that the analysis adds to those of sweeps: units, meaning, type and flags of each."""
+    """Variables by name that the analysis adds to its datasets, with unit, meaning, type and flags."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
-    """Rules that choose the picture of a dataset of the analysis; the first that fits applies."""
+    """Rules that choose the picture of a dataset; the first rule that fits applies."""
 
     counted: ClassVar[str] = ""
     """Dimension of the analysis's datasets whose size the command prints."""
@@ -117,7 +118,7 @@ class Analysis(Settings):
     view: ClassVar[str] = "map"
     """View in the explorer: "map", "curves" (over the map of a sweep), "families", "orbits", "motion" or "plots".
 
-    "plots" stands for the analysis's own picture and summary, which most other views show, too.
+    The view "plots" shows only the picture and the summary of a dataset.
     """
 
     def view_of(self, ds: xr.Dataset) -> str:
@@ -132,9 +133,10 @@ class Analysis(Settings):
         raise NotImplementedError(f"{type(self).__name__}.run")
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
-        """Draw a dataset of this kind, with the datasets `over` drawn on top.
+        """Draw a dataset of this kind; `over`: datasets that are drawn on top.
 
-        **Raises:** `InputError` if the dataset holds nothing to draw, or its picture accepts no overlays.
+        **Raises:** `InputError` if the dataset holds nothing to draw, or if overlays are given for a picture without
+        overlays.
         """
         from vibrojax.pictures.draw import draw
         from vibrojax.pictures.style import drawable
@@ -160,7 +162,7 @@ class Analysis(Settings):
         raise InputError(f"nothing to draw: {needed}")
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the parts of a dataset's summary that are specific to this kind; `info` prints them."""
+        """Return the parts of a summary that only this kind of dataset has; `vibrojax info` prints them."""
         return []
 
     def page_figures(self, ds: xr.Dataset) -> Sequence["Picture | Figure"]:
@@ -190,11 +192,11 @@ class Analysis(Settings):
         of: "Sweep | None" = None,
         **attributes: object,
     ) -> xr.Dataset:
-        """Return a dataset of this kind with title, provenance and history; known variables get units and meanings.
+        """Return a dataset of this kind with title, provenance and history; known variables receive units and meanings.
 
-        **Arguments:** `variables`: (dimensions, values) by name, or (dimensions, values, attributes) for variables that
-        the class attribute `variables` does not describe; `coords`: coordinates in the same form; `of`: the sweep whose
-        scene and parameters the dataset states; `attributes`: further dataset attributes, among them `title`.
+        **Arguments:** `variables`: (dimensions, values) by name; a variable that the class attribute `variables` does
+        not describe needs (dimensions, values, attributes). `coords`: coordinates in the same form. `of`: the sweep
+        whose scene and parameters the dataset states. `attributes`: further dataset attributes, such as `title`.
         """
         title, command = str(attributes.pop("title", self.kind)), self.command or self.kind
         if of is None:
@@ -219,12 +221,12 @@ def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> 
     **Arguments:**
 
     - `source`: input of the analysis: a dataset, or a sweep as `run_sweep` accepts it.
-    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. Afterwards, `picture` and the other
-      functions support its datasets in this process.
+    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. After a call of `analyse`, `picture`
+      and other functions accept the datasets of the analysis in the same process.
 
     **Returns:** the dataset, with the attribute `kind`.
 
-    **Raises:** `InputError` if `analysis` is not an `Analysis`, or `source` cannot be analysed.
+    **Raises:** `InputError` if `analysis` is not an `Analysis`, or if it cannot analyse `source`.
 
     **Example:**
 

@@ -223,9 +223,10 @@ _INTERRUPTED = Event()
 
 
 class OrbitFunction:
-    """Function of an array of parameters that gives features of a periodic orbit, made by [vibrojax.as_jax][].
+    """Function from an array of parameters to features of a periodic orbit, made by [vibrojax.as_jax][].
 
-    `f(x)` returns the dict that [vibrojax.as_jax][] describes, and `f.reason(x)` the reason why f is not valid at x.
+    `f(x)` returns the dict that [vibrojax.as_jax][] describes, and `f.reason(x)` returns the reason why f is not valid
+    at x.
     """
 
     def __init__(self, branch: Branch, of: Sequence[str], outside: str) -> None:
@@ -254,9 +255,9 @@ class OrbitFunction:
     def reason(self, x: Any) -> str:
         """Return why the function is not valid at `x` (parameters,), or "none" where it is valid.
 
-        The first word is "undefined" (`x` is not a number, or the orbit lacks a feature or a derivative), "refused"
-        (`simulate` rejects `x`, too), "no-orbit" (there is no first orbit), "beyond-branch" (the orbit ends on the way
-        from the first one) or "unstable".
+        The text of a reason begins with "undefined" (`x` is not a number, or the orbit lacks a feature or a
+        derivative), "refused" (`simulate` rejects `x`), "no-orbit" (there is no first orbit), "beyond-branch" (the
+        first orbit ends on the way to `x`) or "unstable".
         """
         check_untraced(Place("as_jax", "reason").error, x)
         return self._branch.reason(np.array(self._checked(np.asarray(x)), float))
@@ -294,33 +295,35 @@ def as_jax(
         f(jnp.array([0.4, 0.75]))  # {"impact_energy": ..., "margin": ..., "grazing_margin": ..., "valid": ...}
         jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
 
-    At its first use, the function finds the first orbit, on which the motion from `start` settles if the parameters
-    have the values `at`. Further calls continue this orbit on the straight line to their point, so a result does not
-    depend on other calls. Without `at`, the first point that is evaluated takes its place. The gradients are those of
-    [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work, and so do `jax.jacfwd` and `jax.jacrev` of the
-    features, without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`.
-    Second derivatives are not available.
+    The first call of the returned function finds the orbit on which the motion settles, at the point of the call or at
+    the point given as `at`. Every further call continues the first orbit on the straight line to its own point, so a
+    result does not depend on other calls. The gradients equal the derivatives by [vibrojax.sensitivity][]. `jax.grad`,
+    `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features without the boolean `valid`:
+    `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second derivatives are not available.
 
-    The function is valid as long as the orbit exists, has the same numbers of section crossings and impacts, and is
-    stable, and `simulate` admits the parameters. Elsewhere the result is that of the last such orbit on this line,
-    located to 1e-7 of its length. An orbit that has become unstable is continued, with a positive `margin`, so that
-    stability can be a smooth constraint. `f.reason(x)` returns the reason as text.
+    The returned function is valid at points that `simulate` accepts and at which the orbit exists, is stable, and keeps
+    its numbers of section crossings and impacts. At a point that is not valid, the function returns the values of the
+    last valid orbit on the straight line to the point. An orbit that becomes unstable is continued, and its `margin` is
+    then positive, so that stability can be a smooth constraint.
 
-    Orbits are computed in float64, whatever the type of the argument is. Results have the type of the argument, at
-    least float32.
+    Orbits are computed in float64 for any type of the argument. Results have the type of the argument, at least
+    float32.
 
     **Arguments:**
 
     - `scene`, `start`, `fixed` (SI): as in `simulate`.
-    - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order of the array.
-    - `at`: values of these parameters for the first orbit, on which the motion from `start` settles.
-    - `outside`: "nearest" for the values and gradients of the nearest orbit where the function is not valid, or "nan".
+    - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order in which an array holds their
+      values.
+    - `at`: parameter values at which the motion from `start` settles on the first orbit.
+    - `outside`: result where the function is not valid: "nearest" for values and gradients of the last valid orbit, or
+      "nan".
 
-    **Returns:** a function of an array (parameters,), which returns a dict of scalars: the features `of`, `margin`,
-    `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
-    multipliers, negative if stable, and `grazing_margin` the distance from a change in the order of events. Features
-    and their gradients are NaN if no motion from `start` is periodic at the first point or near it, or if the orbit
-    does not have them (without impacts, an impact velocity). The function can be pickled, with its first orbit.
+    **Returns:** a function of an array (parameters,), which returns a dict of scalars: the requested features,
+    `margin`, `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
+    multipliers, and is negative if the orbit is stable. `grazing_margin` is the distance of the orbit from a change in
+    the order of events. Features and their gradients are NaN if no motion from `start` is periodic at the first point
+    or near it, or if the orbit lacks the feature, such as the impact velocity without impacts. Pickling the function
+    keeps its first orbit.
 
     **Raises:** `InputError` for an unknown name or a wrong value.
 

@@ -90,40 +90,41 @@ _MOST_FACETS, _MOST_COLUMNS, _PANEL = 6, 3, (4.2, 2.0)  # _PANEL: width and heig
 def attractors(
     source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
 ) -> xr.Dataset:
-    """Find the attractors to which a sweep's initial conditions lead, and the fraction that leads to each.
+    """Find the attractors that a sweep's initial conditions reach, and the fraction that leads to each attractor.
 
         att = vj.attractors(ds)
 
-    Two lanes of a grid point have the same motion if their orbits are equal, or, for irregular lanes, if their
-    statistics over a longer observation agree. The dataset's attribute `attractors` states the resolution of this
-    comparison.
+    Two periodic lanes of a grid point have the same motion if their orbits are equal; two irregular lanes have the same
+    motion if their statistics over a longer observation agree, within the resolution in the attribute `attractors`.
 
-    Motions of neighbouring points are the same attractor if the orbit of one, continued to the other's parameters,
-    becomes the orbit of the other. At a pitchfork, the symmetric orbit has the number of one of its twins. The numbers
-    of the attractors do not depend on the order of values on an axis; number 0 has the greatest fraction over the grid.
+    Motions at neighbouring grid points belong to one attractor if continuation from one point to the other turns the
+    first orbit into the second. At a pitchfork, the symmetric orbit has the number of one of its twins. Attractor 0 has
+    the greatest fraction of initial conditions over the grid. The numbers of the attractors do not depend on the order
+    of values on an axis.
 
     **Arguments:**
 
-    - `source`: dataset of a sweep over `start`, or a sweep as `run_sweep` accepts it. A sweep is run again if its
-      dataset lacks orbits. With `lyapunov = true`, irregular lanes that had not settled are left out.
+    - `source`: dataset of a sweep with several starts, or a sweep as `run_sweep` accepts it. The sweep is run again if
+      its dataset lacks orbits. If the sweep has `lyapunov = true`, irregular lanes that had not settled are left out.
 
     **Returns:** a dataset.
 
-    - Over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its binomial
-      standard error `share_stderr`, an upper bound for Sobol samples. `regime` is the most frequent regime of the
-      attractor's lanes, `cycles` the period of its orbit in returns (0 without an orbit). Where the attractor does not
-      exist, `share` is 0, and so are `regime` and `cycles`, as all undefined integers. `period`, `impacts` and
-      `impact_velocity` are medians over the lanes, from the longer observation if they are irregular. `impact_power`,
-      `stick_slip_index` and `specific_energy` are medians from the sweep's observation; `blow_frequency` follows from
-      `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the section.
-    - Over the grid, `unassigned`: number of initial conditions without an attractor. Their lanes failed, were
-      undecided, had not settled, did not converge, or their orbit was not found.
-    - Over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
-    - Over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor` and
-      `named_regime`, the attractor and the regime to which the scene's initial conditions `drive` and `stuck` lead.
-      These do not count in `share`.
+    - Variables over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its
+      binomial standard error `share_stderr`, an upper bound for Sobol samples; `regime`, the most frequent regime of
+      the attractor's lanes; `cycles`, the period of the attractor's orbit in returns (0 without an orbit). Where the
+      attractor does not exist, `share` is 0, and so are `regime` and `cycles`, as all undefined integers. `period`,
+      `impacts` and `impact_velocity` are medians over the lanes, from the longer observation if they are irregular.
+      `impact_power`, `stick_slip_index` and `specific_energy` are medians from the sweep's observation;
+      `blow_frequency` follows from `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the
+      section.
+    - Variable over the grid, `unassigned`: number of initial conditions without an attractor, because the lane failed,
+      was undecided, had not settled or did not converge, or because no orbit was found.
+    - Variable over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
+    - Variables over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor`
+      and `named_regime`, the attractor and the regime to which the initial conditions `drive` and `stuck` of the scene
+      lead. The named initial conditions do not count in `share`.
 
-    **Raises:** `InputError` unless `source` is a sweep over a grid and `start`, and its scene has a section.
+    **Raises:** `InputError` unless the source is a sweep over a grid and several starts, of a scene with a section.
 
     **Example:**
 

@@ -51,34 +51,34 @@ def borders(
     at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """Find the borders of the stable single impact in a sweep's plane: curves, and what happens at each.
+    """Find the curves in a parameter plane on which the stable single impact ends, and the cause of each border.
 
         cur = vj.borders(ds)
 
-    The single impacts on which the sweep's lanes settle are continued along the edges of the grid. Where such an orbit
-    ends or loses its stability, a vertex is located. For each initial condition, curves through the vertices bound the
-    region in which it leads to a stable single impact. Further curves bound the region of all stable single impacts.
+    The function continues the single-impact orbits of the sweep along the edges of the grid, and locates a vertex where
+    such an orbit ends or loses its stability. Curves through vertices bound the region in which an initial condition
+    leads to a stable single impact, and the region of all stable single impacts.
 
     **Arguments:**
 
     - `source`: the dataset of a sweep with a grid, or a sweep as in `run_sweep`. A sweep without orbits is run again.
     - `axes`: the two axes of the plane; by default gamma and beta, else the two axes with the most values.
-    - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which continued borders pass this
-      value are located.
+    - `at`: a value of either parameter, such as `{"beta": 0.5}`; the points at which continued borders cross this value
+      are located.
 
     **Returns:** a dataset.
 
-    - Along `vertex`, in order on each curve: both parameters, and `curve`, the number of the curve it is on.
-    - Along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and the values
-      of the sweep's other axes. The kinds are fold, period-doubling, torus, grazing, stick, section, hopf, end, basin
-      and not-settled. Beyond a *basin* border the orbit exists, but the initial condition no longer leads to it; beyond
-      a *not-settled* border, the motion had not settled. `continued` is 1 if the curve was computed by continuation,
-      which begins at `seed_NAME` of both parameters, else 0. `curve_note` says why the curve ends, or why it was not
-      continued. The attribute `begun_from` describes the grid from which the borders were found.
-    - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
-    - Along `region`: `region_area`, the fraction of the plane with a stable single impact, with the coordinates
-      `region_start` and so on; along `region` and `cell`, the points of the grid at `cell_NAME` of both parameters:
-      `region_stable`, 1 where a single impact is stable.
+    - Variables along `vertex`, in order on each curve: both parameters, and `curve`, a number for each curve.
+    - Variables along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and
+      the values of the sweep's other axes. Beyond a *basin* border the orbit exists, but the initial condition no
+      longer leads to this orbit; beyond a *not-settled* border, the motion had not settled. The flag `continued` is 1
+      if the curve was continued from the point `seed_NAME`, else 0. The text `curve_note` states why the curve ends, or
+      why it was not continued. The attribute `begun_from` describes the grid of the sweep.
+    - Variables along `crossing`, if the argument `at` is given: `crossing_curve`, and `crossing_NAME` for both
+      parameters.
+    - Variables along `region`: `region_area`, the fraction of the plane with a stable single impact, with the
+      coordinates `region_start` and so on. Variable along `region` and `cell`: `region_stable`, which is 1 at the grid
+      points (`cell_NAME` of both parameters) with a stable single impact.
 
     **Raises:** `InputError` if the source is not a sweep over a grid of two parameters, or if the scene has no impacts.
 
@@ -325,7 +325,7 @@ def _stable_cells(ds: xr.Dataset, region: int, x: str, y: str) -> tuple[Cells, d
 
 @dataclass(frozen=True)
 class Borders(SweepAnalysis):
-    """Find the borders of the stable single impact in a sweep's plane: curves, and what happens at each."""
+    """Find the curves in a parameter plane on which the stable single impact ends, and the cause of each border."""
 
     axes: tuple[str, str] | None = field(
         default=None,

@@ -307,43 +307,40 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
     Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed
-    variables of the orbit (period, forces, velocities, powers, rates). Motions from `start` are simulated at a sample
-    of points inside the bounds. From the best points, the orbit is continued to all rows, and SciPy's `least_squares`
-    minimises the residuals with the derivatives of the orbits. Rows without a stable orbit at the end of a search are
-    left out; the search that ends with the greatest likelihood is kept.
+    variables of the orbit (period, forces, velocities, powers, rates). From the best of several sampled motions, the
+    orbit is continued to all rows, and SciPy's `least_squares` minimises the residuals with the derivatives of the
+    orbits. Rows without a stable orbit at the end of a search are left out. Of several searches, the result with the
+    greatest likelihood is kept.
 
-    A recording of the bit's velocity over time, in addition to the rows or instead of them, is compared with the
-    simulated motion. The state at its first sample is fitted too, unless it is given.
+    The data may also be a recording of the bit's velocity over time, instead of rows or in addition to rows. A
+    recording is compared with a simulated motion, whose initial state is estimated too, unless it is given.
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
-
-    Each eigenvector of the Fisher information J'J, in logarithms of positive parameters, is a product of powers of the
-    parameters; the result gives its relative error. The posterior is the normal approximation in these logarithms, or
-    Student's t if the residuals give the error of the observations.
 
     **Arguments:** `source`: path of a TOML file, or a dict, with
 
     - `scene`, `start`, `[parameters]`: as in `simulate`.
-    - `data`: path of a CSV file or, in a dict, a table. Headers are names of parameters and variables, with units as in
-      `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In `drilling`, `C` [m/s] may be unknown too:
-      then `rate_of_penetration` is C ln(relief).
-    - `history`: dataset of `simulate`, table, or path of a CSV or NetCDF file. Its columns are `time` [s] and `v1`
-      [m/s], the velocity of the bit relative to the drive; headers may have other units, as in `v1 (mm/s)`. Columns
-      `x1`, `x2`, `v2` are initial guesses of the first state. A table `[history]` instead holds the recording as
-      `data`, and optionally `columns` (NAME = COLUMN), `window` (begin and end [s]), `start` (the state at the first
-      sample) and the operating conditions that are columns of the rows. `[error]` v1 is the standard error [m/s] of a
-      sample.
-    - `[unknown]` NAME = [low, high]; `[prior]` NAME = [mean, standard deviation]; `[error]` NAME = standard error of a
-      variable. Without given errors, all values have the same relative error, estimated from the residuals; a value
-      below a hundredth of its variable's mean size has the error of a value of that size.
-    - `searches` (default 3), `draws` from the posterior (1000), `seed` (0), `title`.
+    - `data`: path of a CSV file or, in a dict, a table. The headers are names of parameters and variables, with units
+      as in `peak_impact_force (kN)`; columns `NAME_error` hold standard errors. In the scene `drilling`, `C` [m/s] may
+      be unknown too; `rate_of_penetration` is then C ln(relief).
+    - `history`: a recording, as a dataset of `simulate`, a table, or the path of a CSV or NetCDF file. A recording has
+      the columns `time` [s] and `v1` [m/s], the velocity of the bit relative to the drive; headers may have other
+      units, as in `v1 (mm/s)`. Columns `x1`, `x2` and `v2` are initial guesses for the first state. A recording may
+      also be the entry `data` of a table `[history]`, which may have `columns` (NAME = COLUMN), `window` (begin and end
+      [s]), `start` (the state at the first sample) and operating conditions.
+    - `[unknown]` has NAME = [low, high] for each parameter to estimate; `[prior]` has NAME = [mean, standard
+      deviation]; `[error]` has NAME = standard error of a variable. If no standard errors are given, all observed
+      values have the same relative error, which is estimated from the residuals.
+    - `searches` (number of searches, default 3), `draws` (number of draws from the posterior, default 1000), `seed`
+      (default 0), `title`.
 
-    **Returns:** a dataset with `estimate`, `estimate_stderr`, the 95 % interval from `estimate_low` to `estimate_high`,
-    and `reason` along `parameter`; `correlation`, `direction` and `direction_error` along `combination`, `posterior`
-    along `draw`; `observed`, `predicted`, `residual` and `used` (1 or 0) along `observation`, with `time` for samples
-    of a history; `first_state` along `state`, if it is fitted; attribute `error_model`.
+    **Returns:** a dataset. Variables along `parameter` are `estimate`, `estimate_stderr`, the 95 % interval from
+    `estimate_low` to `estimate_high`, and `reason`. Further variables are the `correlation` of parameters, combinations
+    of parameters (`direction`) with their errors, draws from the `posterior`, and the estimated `first_state`.
+    Variables along `observation` are `observed`, `predicted`, `residual`, `used` (1 or 0), and the `time` of samples of
+    a recording.
 
-    **Raises:** `InputError` if the input is invalid, too few observations have an orbit, or no search converges.
+    **Raises:** `InputError` if the input is invalid, if too few observations have an orbit, or if no search converges.
 
     **Example:**
 

@@ -11,7 +11,7 @@ from vibrojax.lazy import pd
 from vibrojax.maps.starts import VECTOR, examples
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.physics.parameters import REPLACED, ROTATION, Parameter, substitutes
+from vibrojax.physics.parameters import REPLACED, Parameter, substitutes
 from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import SCENES, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.scenes.penetration import PULSE_SHAPES
@@ -42,13 +42,14 @@ def scene_rows() -> dict[str, dict[str, str]]:
 
 
 def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of a scene's parameters by name, including those of friction laws and alternatives such as `rpm`.
+    """Return a table of a scene's parameters, including parameters of friction laws, and alternatives such as `rpm`.
 
-    The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. `usual`
-    is the range in the source and on drilling rigs; values far from it cause a warning. `where` is the friction law or
-    pulse shape to which the parameter belongs; it is empty if the scene always has the parameter.
+    The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. The
+    column `usual` is the range in the source and on drilling rigs; values far outside the usual range cause a warning.
+    The column `where` is the friction law or pulse shape to which the parameter belongs, and is empty if the scene
+    always has the parameter.
 
-    **Raises:** `InputError` if there is no such scene.
+    **Raises:** `InputError` if the scene does not exist.
 
     **Example:**
 
@@ -62,10 +63,11 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     for choice, parameters in choices.items():
         groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
     for name, parameter in substitutes(names.parameters).items():
-        where = f"{'rpm with bit_radius ' * (name in ROTATION)}in place of {REPLACED[name]}"
+        partner = {"rpm": "with bit_radius, ", "bit_radius": "with rpm, "}.get(name, "")
+        where = f"{partner}in place of {REPLACED[name]}"
         if name == "bit_radius" and isinstance(names.system, HasRock):
             parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
-            where = "for specific_energy; with rpm in place of v"
+            where = "for specific_energy, or with rpm in place of v"
         groups.append((where, [parameter]))
     rows = [
         {
@@ -85,11 +87,11 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
 
 
 def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of the variables in a scene's datasets by name: `units`, `meaning`, and `where`.
+    """Return a table of the variables in datasets of a scene, with units and meanings.
 
-    `where` is the command that adds the variable; it is empty for the variables of a sweep and of its orbits.
+    The column `where` names the command that adds a variable, and is empty for variables of a sweep and its orbits.
 
-    **Raises:** `InputError` if there is no such scene.
+    **Raises:** `InputError` if the scene does not exist.
 
     **Example:**
 
@@ -125,9 +127,9 @@ def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
 
 
 def list_settings() -> "pd.DataFrame":
-    """Return a table of the settings of a sweep, which belong in its table [run], with their defaults.
+    """Return a table of the settings in [run] of a sweep, with their defaults.
 
-    The default times of a `vj.System` are its `usual_times` instead.
+    In a `vj.System`, the attribute `usual_times` holds the default settling and observation times.
 
     **Example:**
 

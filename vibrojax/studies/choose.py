@@ -47,27 +47,28 @@ def picture(
 
     **Arguments:**
 
-    - `ds`: a dataset of `simulate`, a sweep, or an analysis.
-    - `variable`: name of a variable to draw instead, over all varied axes; or a list of up to four names (eight for a
-      result of `simulate`). A variable at the returns, such as "return_x", gives the bifurcation diagram of that state.
-    - `where`: values by name of axis or coordinate, in the dataset's units; only lanes with these values are drawn.
-      Example: `{"delta": 0.005, "start": "stuck"}`. Numbers must be accurate to four digits. At most 300,000 lanes are
-      drawn.
+    - `ds`: dataset of `simulate`, of a sweep, or of an analysis.
+    - `variable`: name of the variable to draw over all varied axes; or a list of up to four names (eight for a result
+      of `simulate`). The variable "return_x", a state at the returns, gives a bifurcation diagram of x.
+    - `where`: value of each axis or coordinate by name, in the units of the dataset; only lanes with these values are
+      drawn. Example: `{"delta": 0.005, "start": "stuck"}`. Selected values must agree with the dataset to four digits.
+      At most 300,000 lanes are drawn.
     - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
       conditions keep their colours.
-    - `over`: datasets to draw on top. Families of orbits, from `follow`, are drawn over the section crossings of a
-      sweep along the same parameter, with or without `carry`. Borders, from `borders`, are drawn over the map of
+    - `over`: datasets to draw on top of the picture. A result of `follow` is drawn over the section crossings of a
+      sweep along the same parameter, with or without `carry`. A result of `borders` or `curves` is drawn over a map of
       regimes.
-    - `diagram`: name of a diagram to draw instead. "campbell" draws the frequencies of a sweep's motions, the natural
-      frequencies and the multiples of the rotation frequency over the speed; "rate-over-force" the rate of penetration
-      over the mean force; "chart" the region of the robust single impact over two parameters.
-    - `width`: width of the picture, such as "85mm" or "170mm" for a column or a page of a journal, or a number of
+    - `diagram`: name of a diagram, in place of the default picture. The diagram "campbell" shows the frequencies of a
+      sweep's motions, the natural frequencies and the multiples of the rotation frequency over the speed.
+      "rate-over-force" draws the rate of penetration over the mean force, and "chart" draws the region of the robust
+      single impact over two parameters.
+    - `width`: width of the picture, as a text such as "85mm" (a journal column) or "170mm" (a page), or as a number of
       millimetres.
 
     **Returns:** a figure that pyplot does not manage.
 
-    **Raises:** `InputError` if the dataset holds nothing to draw, there is no such variable, axis, value or colour map,
-    or `over` cannot be drawn on this picture.
+    **Raises:** `InputError` if the dataset holds nothing to draw, if a variable, axis, value or colour map does not
+    exist, or if the picture accepts no such overlay.
 
     **Example:**
 
@@ -117,16 +118,17 @@ def save_picture(
     diagram: str | None = None,
     width: str | float | int | None = None,
 ) -> str:
-    """Save the picture that fits a dataset to a file, atomically: the file is complete or does not exist.
+    """Save the picture that fits a dataset to a file. The file is written atomically, so it is never incomplete.
 
     **Arguments:**
 
     - `ds`, `variable`, `where`, `colours`, `over`, `diagram`, `width`: as for [vibrojax.studies.choose.picture][].
     - `path`: file name that ends in .png, .pdf or .svg.
 
-    **Returns:** a description of the values that are drawn, or "" if all are drawn.
+    **Returns:** a description of the values that are drawn, or "" if all values are drawn.
 
-    **Raises:** `InputError` for another file extension, a path that cannot be written, or where `picture` raises it.
+    **Raises:** `InputError` for another file extension or a path that cannot be written, and for the errors of
+    `picture`.
 
     **Example:**
 

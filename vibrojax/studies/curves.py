@@ -61,29 +61,33 @@ def curves(
     at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """Continue the special points of families of orbits in a second parameter, as curves in the plane of the two.
+    """Continue the special points of families of orbits in a second parameter, as curves in a parameter plane.
 
-    Each fold, period doubling, torus, grazing, stick and Hopf point is continued both ways, until a parameter reaches a
-    bound. The bounds of the family's parameter are those of `follow`. Points of codimension two are located and named.
-    Other curves that begin at these points are followed, too, up to a maximum number that `curve_note` mentions.
+    Each fold, period doubling, torus, grazing, stick and Hopf point is continued in both directions, until a parameter
+    reaches a bound. The bounds of the first parameter are the bounds in the call of `follow`. Points of codimension two
+    are located and named. Curves that begin at points of codimension two are continued as well, up to a maximum number
+    that `curve_note` states.
 
     **Arguments:**
 
     - `family`: result of `follow`, but not a family of equilibria (`cycles=0`).
-    - `by`: second parameter; `span`: its lower and upper bound, which enclose its value in the family.
-    - `special`: index of one special point of the family, or several; by default all that can be continued.
-    - `at`: either parameter with a value, such as `{"beta": 0.5}`. The points at which curves pass this value are
+    - `by`: second parameter; `span`: lower and upper bound of this parameter, which enclose its value in the family.
+    - `special`: index of a special point of the family, or several indices; by default, all points that can be
+      continued.
+    - `at`: a value of either parameter, such as `{"beta": 0.5}`; the points at which curves cross this value are
       located.
 
     **Returns:** a dataset.
 
-    - Along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time between
-      section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
-    - Along `curve`: `kind`, `special` (the index in the family, -1 if the curve begins at a point of codimension two),
-      and `curve_note`, remarks on that point, on the ends of the curve, and on other special points on it.
-    - Along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
+    - Variables along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time
+      between section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
+    - Variables along `curve`: `kind`; `special`, the index of the special point in the family, or -1 if the curve
+      begins at a point of codimension two; `curve_note`, remarks on the first point, on the ends of the curve, and on
+      other special points on the curve.
+    - Variables along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
       parameters.
-    - With `at`, along `crossing`: `crossing_curve`, and `crossing_NAME` for both parameters.
+    - Variables along `crossing`, if the argument `at` is given: `crossing_curve`, and `crossing_NAME` for both
+      parameters.
 
     **Raises:** `InputError` for an invalid name or value.
 

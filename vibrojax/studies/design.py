@@ -38,15 +38,15 @@ _MAX_PANELS = 6
 _YES_NO = ("no", "yes")
 
 DESIGN_VARIABLES = {
-    "share": Variable("1", "share of the starts from which all requirements hold at the nominal point"),
+    "share": Variable("1", "share of the starts whose motion meets all requirements at the nominal point"),
     "share_worst": Variable(
-        "1", "least share of the starts from which all requirements hold at a sample of the tolerances"
+        "1", "share of the starts whose motion meets all requirements, at the worst sample of the tolerance box"
     ),
-    "feasible": Variable("1", "whether all requirements hold at all samples of the tolerances", np.int8, _YES_NO),
-    "irregular_share": Variable("1", "share of the samples' lanes that are irregular, undecided or failed"),
+    "feasible": Variable("1", "whether all samples of the tolerance box meet all requirements", np.int8, _YES_NO),
+    "irregular_share": Variable("1", "share of lanes in the tolerance box that are irregular, undecided or failed"),
     "gradient": Variable("", "derivative of the objective at the nominal orbit, per unit of the parameter"),
-    "map_feasible": Variable("1", "whether all requirements hold at the nominal point", np.int8, _YES_NO),
-    "front_feasible": Variable("1", "whether a feasible point was found for this limit", np.int8, _YES_NO),
+    "map_feasible": Variable("1", "whether the point of the coarse map meets all requirements", np.int8, _YES_NO),
+    "front_feasible": Variable("1", "whether a design within the limit was found", np.int8, _YES_NO),
 }
 """Variables whose units do not depend on the design, unlike objective, subject, map and front."""
 
@@ -329,15 +329,14 @@ def _subject(ds: xr.Dataset) -> list[str]:
 
 
 def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool = True) -> xr.Dataset:
-    """Find the values of varied parameters that maximise a variable, under constraints at samples of the tolerances.
+    """Find the parameter values that maximise a variable, under constraints at samples of the tolerance box.
 
         best = vj.design("design.toml")
         best.isel(candidate=0)
 
-    SLSQP begins at the best points of a coarse map and uses the derivatives of the periodic orbits. Simulations then
-    search the neighbourhood of each optimum. Candidates are simulated again from every start, at all corners of the
-    tolerance box and at 256 random points in it. Worst values are the worst over these samples, not over the whole box;
-    if `irregular_share` is above 0, they also depend on the duration of the observation.
+    All candidates are simulated from every start, at all corners of the tolerance box and at 256 random points inside
+    it. Worst values are computed over the simulated samples, not over the whole tolerance box. If `irregular_share` is
+    above 0, the worst values also depend on the duration of the observation.
 
     **Arguments:**
 
@@ -345,17 +344,17 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
       `maximise`, `vary`, and optionally `robust`, `subject`, `tolerance`, `parameters`, `starts`, `run`, `front`,
       `title`.
 
-    **Returns:** a dataset along `candidate`, best first:
+    **Returns:** a dataset along `candidate`, in which the best candidate comes first:
 
-    - the varied parameters; `objective` at the nominal point, worst over the starts; `objective_worst`, the worst over
-      the samples of the tolerances, by which a robust design is ranked; the variables of the subject, each at the
-      nominal point and as `NAME_worst`; `feasible`.
+    - Variables of each candidate: the varied parameters; `objective`, the value at the nominal point from the worst
+      start; `objective_worst`, the worst value over the tolerance box, by which robust designs are ranked; each
+      variable of the `subject` at the nominal point, and its worst value `NAME_worst`; `feasible`.
     - `gradient` along `parameter`.
-    - if `front` is given: along `front`, the limit that varies, `front_objective` and the varied parameters.
+    - Variables along `front`, if the design has a front: the varied limit, `front_objective` and the varied parameters.
     - along `map`: the coarse map.
 
-    **Raises:** `InputError` for an invalid design, if there is no feasible point, or if the objective is 0 at all
-    feasible points.
+    **Raises:** `InputError` if the design is invalid, if no point is feasible, or if the objective is 0 at all feasible
+    points.
 
     **Example:**
 

@@ -148,33 +148,35 @@ RULED = {
 """Words for the numbers of lanes, samples and corners that are treated by rule, for one and for several."""
 
 STUDY_VARIABLES = {
-    "first_order": Variable("1", "share of the variance due to the parameter alone", dims=_PARAMETER),
+    "first_order": Variable("1", "share of the variance that the parameter causes alone", dims=_PARAMETER),
     "first_order_conf": Variable("1", "half-width of the confidence interval of first_order", dims=_PARAMETER),
     "total_order": Variable(
-        "1", "share of the variance due to the parameter and all its interactions", dims=_PARAMETER
+        "1", "share of the variance that the parameter causes with all its interactions", dims=_PARAMETER
     ),
     "total_order_conf": Variable("1", "half-width of the confidence interval of total_order", dims=_PARAMETER),
-    "second_order": Variable("1", "share of the variance due to the interaction of two parameters", dims=_PAIR),
+    "second_order": Variable("1", "share of the variance that the interaction of two parameters causes", dims=_PAIR),
     "second_order_conf": Variable("1", "half-width of the confidence interval of second_order", dims=_PAIR),
     "effect": Variable(
-        "", "mean at the high level minus mean at the low level, in the variable's own unit", dims=_PARAMETER
+        "", "mean of the variable at the parameter's high level minus its mean at the low level", dims=_PARAMETER
     ),
     "interaction": Variable(
-        "", "half the difference between one parameter's effects at the high and low level of the other", dims=_PAIR
+        "",
+        "half the difference between the effects of one parameter at the high and at the low level of the other",
+        dims=_PAIR,
     ),
-    "mean": Variable("", "mean over the box, in the variable's own unit", dims=_OF),
-    "std": Variable("", "standard deviation over the box, in the variable's own unit", dims=_OF),
-    "left_out": Variable("1", "number of base samples that are left out", np.int32, dims=_OF),
-    "corners_left_out": Variable(
-        "1", "number of corners of the two-level design that are left out", np.int32, dims=_OF
+    "mean": Variable("", "mean of the variable over the parameter box", dims=_OF),
+    "std": Variable("", "standard deviation of the variable over the parameter box", dims=_OF),
+    "left_out": Variable("1", "number of base samples that the indices leave out", np.int32, dims=_OF),
+    "corners_left_out": Variable("1", "number of corners that the two-level design leaves out", np.int32, dims=_OF),
+    "set_to_zero": Variable(
+        "1", "number of lanes without impacts, for which the variable is set to 0", np.int32, dims=_OF
     ),
-    "set_to_zero": Variable("1", "number of lanes without impacts, whose value is set to 0", np.int32, dims=_OF),
-    "averaged": Variable("1", "number of irregular lanes, whose means over time are used", np.int32, dims=_OF),
-    "sobol_reason": Variable("1", "why there are no Sobol indices", np.int8, REASONS, dims=_OF),
-    SHARE: Variable("1", "share of the Sobol sample's lanes with a single impact"),
-    "regime_share": Variable("1", "share of the Sobol sample's lanes in the regime", dims=("label",)),
-    "low": Variable("", "least value of the parameter, in its own unit", dims=("parameter",)),
-    "high": Variable("", "greatest value of the parameter, in its own unit", dims=("parameter",)),
+    "averaged": Variable("1", "number of irregular lanes, for which the mean over time is used", np.int32, dims=_OF),
+    "sobol_reason": Variable("1", "reason why Sobol indices are missing", np.int8, REASONS, dims=_OF),
+    SHARE: Variable("1", "share of lanes with a single impact in the Sobol sample"),
+    "regime_share": Variable("1", "share of lanes in this regime in the Sobol sample", dims=("label",)),
+    "low": Variable("", "least value of the parameter in the box", dims=("parameter",)),
+    "high": Variable("", "greatest value of the parameter in the box", dims=("parameter",)),
 }
 
 
@@ -228,34 +230,37 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
 
 
 def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
-    """Find which parameters, and which pairs of them, determine a machine's performance within a box of values.
+    """Find the parameters, and pairs of parameters, that determine the performance of a machine within a box of values.
 
         ds = vj.study("drill")
         ds.total_order.sel(of="impact_energy").to_pandas()
 
-    The study runs Saltelli's sample of the box for Sobol indices, and the corners of a two-level factorial design for
-    effects and interactions. With more than eight parameters, it runs a fraction of the corners, of resolution V.
+    The study simulates Saltelli's sample of the parameter box for Sobol indices, and the corners of a two-level
+    factorial design for effects and interactions. With more than eight parameters, the study uses a fractional
+    factorial design of resolution V.
 
     **Arguments:**
 
-    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. It has a `scene`;
-      `of`, a list of variables of the scene's sweeps, or "share_single_impact"; and [vary] with NAME = [low, high] for
-      up to twelve parameters. Optional are [parameters], `starts` and [run] as in a sweep, `samples` (base samples, a
-      power of two; default 256) and `seed` (default 0). D parameters need (2 D + 2) lanes per base sample and start.
+    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has a
+      `scene`, a list `of` variables or "share_single_impact", and a table `[vary]` with NAME = [low, high] for up
+      to twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number
+      of base samples, a power of two; default 256) and `seed` (default 0). A study of D parameters needs (2 D + 2)
+      lanes per base sample and start.
 
-    **Returns:** a dataset over `of`, `parameter` and `other` (the parameters again).
+    **Returns:** a dataset with the dimensions `of` (the variable), `parameter`, and `other` (the second parameter of a
+    pair).
 
-    - `first_order`, `total_order`: shares of the variance due to a parameter alone, and with all its interactions, with
-      95 % confidence intervals `first_order_conf` and `total_order_conf`. `second_order`: share due to the interaction
-      of a pair.
+    - `first_order`: share of the variance that a parameter causes alone; `total_order`: share that it causes with all
+      its interactions; `second_order`: share that the interaction of two parameters causes. Names with the ending
+      `_conf` are half-widths of 95 % confidence intervals.
     - `effect`: mean of the variable at the high level of a parameter minus its mean at the low level. `interaction`:
-      half the difference of this effect between the high and the low level of the other parameter.
-    - `mean`, `std`: mean and standard deviation of the variable over the box. `share_single_impact`, `regime_share`:
-      shares of lanes with a single impact and in each regime.
-    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners to which the
-      rules in the attribute `rules` apply. `sobol_reason`: why there are no Sobol indices.
+      half the difference between the effects of a parameter at the high and at the low level of another parameter.
+    - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of
+      lanes with a single impact; `regime_share`: share of lanes in each regime.
+    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners that are
+      treated by the rules in the attribute `rules`. `sobol_reason`: reason why the dataset lacks Sobol indices.
 
-    **Raises:** `InputError` if the study is invalid, or SALib is not installed.
+    **Raises:** `InputError` if the study is invalid or SALib is not installed.
 
     **Example:**
 

@@ -60,52 +60,54 @@ def follow(
 
         fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
 
-    The first orbit is the one on which the motion at `along` = `at` settles, or the given `orbit`; a family may also
-    begin at the Hopf points of a family of equilibria. If the motion settles at an equilibrium, the family is one of
-    equilibria. Pseudo-arclength continuation follows it in both directions, through folds and changes in the order of
-    events, and onto the branches that begin at period doublings.
+    A family begins at the given `orbit`, at Hopf points of a family of equilibria, or by default at the orbit on which
+    the motion settles at the value `at` of the parameter `along`. If the motion settles at an equilibrium, `follow`
+    continues the family of equilibria. Pseudo-arclength continuation follows the family in both directions, through
+    folds and changes in the order of events, and onto period-doubled branches.
 
     **Arguments:**
 
-    - `scene`: name of a scene, or a scene; `parameters`: any of its parameters (SI), as in `simulate`. One or several
-      may be sequences of the same length; then one family per element is continued, along the dimension `family`.
-    - `along`: name of the continuation parameter; `at`: its value at the first orbit; `span`: its lower and upper
-      bound, which enclose `at`.
-    - `start`: initial condition of the motion that settles on the first orbit, by default the scene's first initial
-      condition.
-    - `orbit`: `{"states": [...], "period": ...}`, an orbit at `at`, stable or not: states on it, ordered as in `start`
-      (of a forced system at the beginning of a forcing period), and its period [s]. Newton's method corrects them.
-    - `from_hopf`: a family of equilibria, or its file. One branch begins at each of its hopf points, if no other branch
-      has led there. `along`, `span` and the parameters default to those of the family; `at` is not needed.
+    - `scene`: name of a scene, or a scene; `parameters`: parameters of the scene (SI), as in `simulate`. For parameters
+      that are sequences of equal length, one family per element is continued, along the dimension `family`.
+    - `along`: name of the continuation parameter; `at`: value of this parameter at the first orbit; `span`: lower and
+      upper bound of this parameter, which enclose `at`.
+    - `start`: initial condition of the motion that settles on the first orbit, by default the first start of the scene.
+    - `orbit`: a stable or unstable orbit for the parameter value `at`, as `{"states": [...], "period": ...}`. The
+      states are ordered as in `start`, and belong to the beginning of a forcing period if the system is forced; the
+      period is in seconds. Newton's method corrects the states and the period.
+    - `from_hopf`: a family of equilibria, or its file. A branch begins at each Hopf point of the family of equilibria,
+      unless another branch has led to the point. With `from_hopf`, the defaults of `along`, `span` and the parameters
+      are the values in the family of equilibria, and `at` is not needed.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
-      The defaults are the scene's, as in a sweep.
-    - `cycles`: largest number of section crossings per period, 1 to 8, on branches from period doublings; 1 excludes
-      such branches. 0: follow equilibria; Newton's method finds the first, stable or not, from the states of `start`.
+      By default, `settle` and `observe` are the default times of the scene.
+    - `cycles`: largest number of section crossings per period on branches from period doublings, from 1 (no such
+      branches) to 8. With `cycles=0`, `follow` continues equilibria; Newton's method finds the first equilibrium,
+      stable or not, near the initial condition.
 
     **Returns:** a dataset.
 
-    - Along `point`: the parameter, `branch` (0 is the first branch), `stable`, `grazing_margin`, and the multipliers
-      `multiplier_abs` and `multiplier_arg` [rad]. `cycles`: section crossings per period of the motion; `period` [s]:
-      mean time between crossings; `impacts`: impacts per period of the motion. Further variables are the state at the
-      section (`orbit_x1` and so on) and the scene's measures.
-    - Along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf, branch-point, end,
-      or the name of a system's switch), `special_value` (of the parameter), `special_branch`, and `special_note`.
+    - Variables along `point`: the parameter, `branch` (0 is the first branch), `stable`, `grazing_margin`, and the
+      multipliers `multiplier_abs` and `multiplier_arg` [rad]. The variable `cycles` counts section crossings per period
+      of the motion, `period` [s] is the mean time between crossings, and `impacts` counts impacts per period of the
+      motion. The dataset also has the state at the section (`orbit_x1` and so on) and the measures of the scene.
+    - Variables along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf,
+      branch-point, end, or the name of a system's switch), the value of the parameter `special_value`, the number of
+      the branch `special_branch`, and `special_note`.
 
-    At a *grazing* point, an event appears or vanishes: an impact, or another event except the beginning or end of a
-    stick phase. For events other than impacts, the note names the mode that changes. Multipliers at a special point are
-    those on the side from which the point was reached. If orbits exist only on the side without the impact, they are
-    those on that side. Next to a grazing impact, multipliers hold for very small perturbations only. A branch that
-    connects two period doublings is listed once.
+    At a *grazing* point, an impact or another event appears or vanishes, except the beginning or end of a stick phase.
+    For events other than impacts, `special_note` names the mode that changes. Multipliers at a special point are
+    computed on the side from which the point was reached. If orbits exist only on the side without an impact,
+    multipliers at a special point are computed on the side without impact.
 
-    Families of autonomous systems without events do not depend on the section: they are solved over parts of the period
-    (multiple shooting), with a phase condition that is updated along the family. The mirror image of an orbit is listed
-    as another orbit. An orbit that does not cross the section has NaN for its state at the section.
+    Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
+    mirror image of an orbit counts as another orbit. An orbit that does not cross the section has NaN as its state at
+    the section.
 
-    A family of equilibria has `cycles` 0, NaN as `period`, and the states of the equilibrium in place of those at the
-    section. Instead of multipliers it has the eigenvalues of the field's derivative, `eigenvalue_re` and
-    `eigenvalue_im` [1/s] along `eigenvalue`, by falling real part. Its special points are fold, branch-point, hopf and
-    end. If an equilibrium reaches a surface on which the field changes, `special_kind` is *grazing* or the name of the
-    switch. If several families are computed, one whose first equilibrium is not found has no points.
+    A family of equilibria has `cycles` 0 and `period` NaN; the states of the equilibrium replace the states at the
+    section. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and `eigenvalue_im`
+    [1/s] along `eigenvalue`, by decreasing real part. Special points of equilibria are *fold*, *branch-point*, *hopf*
+    and *end*. If an equilibrium reaches a surface on which the vector field changes, `special_kind` is *grazing* or the
+    name of the switch.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 

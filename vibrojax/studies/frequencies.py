@@ -31,13 +31,13 @@ _USED = (*_DRILL, *REPLACED, "v")
 def frequencies(ds: xr.Dataset) -> dict[str, xr.DataArray]:
     """Return frequencies [Hz], blows per minute and rotation speed [1/min] of a sweep or a trajectory, by name.
 
-    - `bit_frequency`, `striker_frequency`: natural frequency of each mass alone on its spring.
-    - `lower_frequency`, `upper_frequency`: natural frequencies of both masses together, without impact and friction
-      (eq. 5.16).
-    - `blow_frequency`: impacts per minute, for lanes with a period.
-    - `rpm`: rotation speed that corresponds to the drive speed, if the sweep has a bit radius.
+    - `bit_frequency`, `striker_frequency`: natural frequencies of bit and striker, each alone on its spring.
+    - `lower_frequency`, `upper_frequency`: natural frequencies of the coupled bit and striker, without impact and
+      friction (eq. 5.16).
+    - `blow_frequency`: impacts per minute, for lanes that have a period.
+    - `rpm`: rotation speed that corresponds to the drive speed, for sweeps with a bit radius.
 
-    Quantities that the dataset does not determine are left out.
+    The dict leaves out quantities that the dataset does not determine.
 
     **Example:**
 

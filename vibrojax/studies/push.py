@@ -161,32 +161,32 @@ def smallest_push(
         push.push_v2.sel(sign=1)  # m/s that are added to the striker's velocity
 
     The working cycle is the periodic orbit on which the motion settles. A push is a sudden change of one state
-    variable, in either direction, when the cycle crosses the section (the bit overtakes the drive). The motion then
-    settles for `settle`, six times as long if it is irregular, and is observed for `observe`. A push after which the
-    motion does not return to the cycle is called a *leaving* push.
+    variable, in either direction, when the cycle crosses the section (the bit overtakes the drive). After a push, the
+    motion settles for `settle` seconds (six times as long if it is irregular), and is observed for `observe` seconds. A
+    *leaving push* is a push after which the motion does not return to the working cycle.
 
-    A first scan tries pushes up to a bound. Further scans try pushes below the smallest leaving push found so far,
-    until none of these is leaving. The interval between the smallest leaving push and the next smaller push is then
-    narrowed. A hole in the basin of the cycle that is narrower than the spacing of the scans is missed.
+    Scans try pushes up to a bound, and then below the smallest leaving push, until no smaller leaving push is found.
+    The interval between the smallest leaving push and the next smaller push is then narrowed.
 
     **Arguments:**
 
-    - `scene`: a scene with a drill, or its name; `parameters`: any of its parameters (SI), as in `simulate`. Sequences
-      of equal length define several working cycles along the dimension `point`, pushed in one batch.
-    - `start`: initial condition of the motion that settles on the cycle, by default the scene's first.
-    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). The default is, for a position,
-      its peak-to-peak range over the cycle and, for a velocity, the range of its position times 2 pi/period.
+    - `scene`: a scene with a drill, or its name; `parameters`: parameters of the scene (SI), as in `simulate`.
+      Sequences of equal length define several machines along the dimension `point`, which are computed in one batch.
+    - `start`: initial condition of the motion that settles on the working cycle, by default the first of the scene.
+    - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). The default for a position is
+      its peak-to-peak range over the cycle, and the default for a velocity is this range times 2 pi/period.
     - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation; by default as in a sweep of the scene.
 
     **Returns:** a dataset.
 
-    - Along `sign` (-1, 1), for each state variable (here v2): `push_v2` is the smallest leaving push that was found,
-      NaN if no push up to `bound_v2` leaves. `bracket_v2` is its distance from the next smaller push after which the
-      motion is known to return to the cycle. `regime_v2` is the regime in which the motion ends after the push.
-    - `regime`, `period` and the state at the section (`orbit_x1` and so on) of the working cycle.
+    - Variables along `sign` (-1, 1), for each state variable, here v2: `push_v2` is the smallest push after which the
+      motion leaves the cycle, NaN if the motion returns after all pushes up to `bound_v2`; `bracket_v2` is the distance
+      of this push from the next smaller push, after which the motion returns; `regime_v2` is the regime in which the
+      motion ends after the push.
+    - Variables of the working cycle: `regime`, `period` and the state at the section (`orbit_x1` and so on).
 
-    **Raises:** `InputError` for an invalid name or value, or if there is no stable cycle.
+    **Raises:** `InputError` for an invalid name or value, or if the motion does not settle on a stable cycle.
 
     **Example:**
 

@@ -82,21 +82,20 @@ def rig(
         vj.picture(log)
 
     With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate R [m/s] and the area A of a bit
-    of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). In field units this is 4
-    WOB/(pi D²) + 480 TOR RPM/(D² ROP). The percussive specific energy is `impact_power`, the power of the impacts, over
-    A R.
+    of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). The percussive specific
+    energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per second.
 
-    The founder point is the weight above which the rate does not rise, if the data show one: see [vibrojax.fit_rop][].
+    The founder point is the weight on the bit above which the rate does not rise; see [vibrojax.fit_rop][].
 
-    `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque. A `stick_slip_index` of the log is kept as
-    given.
+    The variable `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque. A column `stick_slip_index` of
+    the log is copied unchanged.
 
     **Arguments:** `source`, `columns`, `where`, `nulls`: as for [vibrojax.read_log][]; `units`: units of pictures and
     summaries, "driller" (m/h, rpm, kN, MPa) or "si". The dataset is in SI units.
 
     **Returns:** the log with `specific_energy`, `percussive_specific_energy` [J/m³] and `torque_stick_slip` along
-    `row`, where the log has the columns for them (else NaN; `notes` says why), `founder_weight` [N], `slope_below`,
-    `slope_above` and `founder_reason`.
+    `row`, and with `founder_weight` [N], `slope_below`, `slope_above` and `founder_reason`. If the log lacks the
+    columns for a quantity, its values are NaN, and the attribute `notes` states why.
 
     **Raises:** `InputError` if the log cannot be read.
 

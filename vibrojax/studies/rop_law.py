@@ -68,33 +68,39 @@ SCHEMA = {
     "exponent": Variable("1", "exponent of the relief", along=_FORM),
     "exponent_stderr": Variable("1", "standard error of the exponent", along=_FORM),
     "r_squared": Variable("1", "share of the rate's variance that the form explains", along=_FORM),
-    "aic": Variable("1", "n ln(RSS/n) + 2k, RSS in m2 s-2", along=_FORM),
+    "aic": Variable("1", "Akaike criterion n ln(RSS/n) + 2k of n lanes and k coefficients, RSS in m2 s-2", along=_FORM),
     "cv_error": Variable(
-        "m s-1", "cross-validation error: each block of a log's rows predicted from the others", along=_FORM
+        "m s-1",
+        "cross-validation error: root mean square error of predictions for blocks of rows from the other blocks",
+        along=_FORM,
     ),
     "evidence_against": Variable(
-        "1", "AIC (of a log, 2 n ln(cv_error)) above the best form's; above 5.4 (sweep: 2) it is rejected", along=_FORM
+        "1",
+        "AIC (log: 2 n ln(cv_error)) minus the value of the best form; above 2 (log: 5.4), a form is rejected",
+        along=_FORM,
     ),
     "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),
     "used": Variable("1", "number of lanes that the fit used, including those at zero rate", np.int32, along=_FORM),
     "left_out": Variable(
-        *("1", "number of lanes left out: failed, irregular, outlying, or above the founder weight", np.int32),
+        *("1", "number of lanes that are left out: failed, irregular, outlying, or above the founder weight", np.int32),
         along=_FORM,
     ),
-    "reason": Variable("1", "why a coefficient is not a number", np.int8, REASONS, along=_FORM),
-    "r_squared_reason": Variable("1", "why r_squared is not a number", np.int8, REASONS, along=_FORM),
+    "reason": Variable("1", "reason why a coefficient is NaN", np.int8, REASONS, along=_FORM),
+    "r_squared_reason": Variable("1", "reason why r_squared is NaN", np.int8, REASONS, along=_FORM),
     "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS, along=_FORM),
     "onset_force": Variable("N", "mean force at the onset of penetration, eta0 D", along=_FORM),
     "onset_force_stderr": Variable("N", "standard error of onset_force", along=_FORM),
-    "founder_weight": Variable("N", "mean force above which the rate does not rise"),
+    "founder_weight": Variable("N", "mean force above which the rate of penetration does not rise"),
     "founder_weight_stderr": Variable("N", "standard error of the founder weight"),
-    "founder_fall": Variable("m s-1 N-1", "decrease of the rate per unit of mean force above the founder weight"),
+    "founder_fall": Variable(
+        "m s-1 N-1", "decrease of the rate of penetration per unit of mean force above the founder weight"
+    ),
     "founder_fall_stderr": Variable("m s-1 N-1", "standard error of founder_fall"),
     "noise_correlation": Variable("1", "correlation of the noise of neighbouring rows"),
     "data_threshold": Variable("N", "mean force at a relief of 1"),
     "data_relief": Variable("1", "relief of the lanes that were fitted", along=_LANE),
     "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted", along=_LANE),
-    "data_use": Variable("1", "how the fit treats the lane", np.int8, USES, along=_LANE),
+    "data_use": Variable("1", "treatment of the lane by the fit", np.int8, USES, along=_LANE),
 }
 """Variables of a fit over its groups, and `along` its forms or lanes. `onset_force` needs an unknown threshold."""
 
@@ -109,41 +115,38 @@ def fit_rop(
     where: Where = None,
     nulls: Nulls = None,
 ) -> xr.Dataset:
-    """Fit six forms of the rate-of-penetration law to each group: three readings of eq. 6.4 and three rivals.
+    """Fit six forms of the rate-of-penetration law to groups of lanes: three readings of eq. 6.4 and three others.
 
-    A form is a formula for the rate over the relief. A lane whose rate is zero is censored: it contributes only where a
-    form predicts a positive rate. Lanes that failed, are irregular or have no usable values are left out and counted.
-    Standard errors (HC3) are valid for noise of constant size and for noise proportional to the rate.
+    A *form* is a formula for the rate of penetration as a function of the relief. A lane whose rate is zero is
+    censored: it contributes to the residuals only where a form predicts a positive rate. Lanes that failed, are
+    irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for noise of constant
+    size and for noise proportional to the rate.
 
-    For rows of a rig log, the loss is robust. If the data show a founder weight, above which the rate does not rise,
-    the forms are fitted to the rows below it. From 30 rows on, outlying rows are left out and listed (attribute
-    `left_out_rows`). From 50 rows on, the fit accounts for correlated noise of neighbouring rows: leaving out blocks of
-    rows gives the standard errors, and the forms are compared by their predictions of each block from all others
-    (`cv_error`).
+    A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate does not rise, the
+    forms are fitted to the rows below this weight. In logs of 50 rows or more, a jackknife over blocks of rows gives
+    the standard errors, and the cross-validation error `cv_error` compares the forms.
 
     **Arguments:**
 
-    - `data`: dataset with rate_of_penetration [m/s], relief [1] and optionally regime, or the path of such a dataset
-      (.nc) or of a rig log (see `read_log`), or a DataFrame with the columns of such a log.
-    - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Each combination of values
-      on the other axes is a group.
-    - `by`: columns of a table (a CSV, or a sweep of points) whose values distinguish the groups. If `along` is a
-      column, the default is all columns except `along` and mean_force.
-    - `robust`: the loss, "soft-l1", scaled by the median absolute deviation, or "squares"; by default soft-l1 for rows
-      of a log and squares for a sweep. R² and AIC are computed from the plain residuals.
+    - `data`: a dataset with rate_of_penetration [m/s], relief [1] and optionally regime; the path of such a dataset
+      (.nc); the path of a rig log (see `read_log`); or a DataFrame with the columns of a rig log.
+    - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Lanes with equal values on
+      all other axes form a group.
+    - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
+      `along` names a column, the default is all other columns except mean_force.
+    - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation
+      (default for a log). R² and AIC are computed from residuals without the loss function.
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
-      {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: eta is then
-      the force over its median (attribute `reference_force` [N]), and `onset_force` [N] is the force at the onset.
-    - `where`, `nulls`: only for a rig log; as in `read_log`.
+      {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: the median
+      force (attribute `reference_force` [N]) then replaces the threshold in the relief, and `onset_force` [N] is the
+      force at the onset of penetration.
+    - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset over the groups and `form`: C [m/s], eta0 [1] and exponent [1], each with its standard error;
-    r_squared, aic, degrees_of_freedom, used and left_out (numbers of lanes), `standing` (result of the comparison of
-    the forms) and `reason`. A coefficient is NaN if the form does not have it or the lanes do not identify it. Over the
-    groups: `founder_weight` [N] with its standard error, NaN if there is none, and `founder_fall` [m/s/N], the decrease
-    of the rate per force above it. The attribute `verdict` is the form that the data of all groups support, or "none";
-    `left_out_rows` lists outlying rows of a log. Over the groups and `lane`, the dataset holds the data: data_relief
-    [1], data_rate_of_penetration [m/s], and `data_use`.
+    **Returns:** a dataset with the groups, `form` and `lane` as dimensions. The main variables of a fit are the
+    coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the comparison
+    of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute `verdict` is
+    the form that the data of all groups support, or "none".
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 

@@ -136,29 +136,30 @@ def sensitivity(
         s.d_impact_velocity.sel(parameter="beta")  # m/s per unit of beta, in every lane
         vj.sensitivity("vibro-impact", of=["period"], by=["beta"], start="stuck", delta=0.005)  # at one point
 
-    The derivatives are those along the family of orbits, by the implicit function theorem at the fixed point of the
-    return map: ds/dp = (1 - P_s)^-1 P_p for the state s at the section. Features are then measured over one period of
-    the orbit, with tangents along (ds/dp, dp) through all events. Unstable orbits have derivatives, too.
+    The derivatives follow the orbit as the parameters change. The implicit function theorem gives the derivative of the
+    state s at the section, a fixed point of the return map P: ds/dp = (1 - P_s)^-1 P_p. The features of the orbit are
+    measured over one period, with the tangent (ds/dp, dp) through all events. Unstable orbits have derivatives, too.
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. Unless the dataset has orbits
-      (`orbits = true`), its sweep is run again.
-    - Instead of a sweep, `source` can be a scene or its name. The derivatives are then those of the orbit on which the
-      motion from `start` settles, at one point: the `parameters` (SI, as in `simulate`). A name that is also a bundled
-      sweep's, such as "drilling", means the scene if any argument of a point is given.
+    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset lacks orbits (`orbits = true`), its
+      sweep is run again.
+    - Instead of a sweep, `source` can be a scene or its name. For a scene, the function differentiates the orbit on
+      which the motion settles for the given `start` and `parameters` (SI, as in `simulate`). A name that denotes both a
+      scene and a bundled sweep, such as "drilling", means the scene if further arguments specify a point.
     - `by`: parameters of the scene, by default all.
-    - `of`: variables to differentiate at a point, by default all that vary smoothly. `settle`, `observe` [s]: as in a
-      sweep.
+    - `of`: variables to differentiate at a single point, by default all variables that vary smoothly. `settle`,
+      `observe` [s]: as in a sweep.
 
-    **Returns:** a dataset over the dimensions of the sweep; at a point, without these dimensions.
+    **Returns:** a dataset over the dimensions of the sweep, or without these dimensions for a single point.
 
-    - The variables of the orbits that vary smoothly, among them `period`, `impact_velocity`, `impact_energy`,
+    - All variables of the orbits that vary smoothly, such as `period`, `impact_velocity`, `impact_energy`,
       `impact_power`, `peak_impact_force`, `impact_phase`, `grazing_margin`, `multiplier_abs` along `multiplier`,
       `log_multiplier` (the natural logarithm of the largest modulus), and `rate_of_penetration` with rock.
-    - `d_VARIABLE` along `parameter`: their derivatives, in the unit of the variable per unit of the parameter
-      (`parameter_unit`). They are NaN where the variable is not defined, as the impact velocity without impacts.
-      At a point also `elasticity_VARIABLE`: the relative change per relative change of the parameter.
+    - `d_VARIABLE` along `parameter`: derivative of each variable, in the unit of the variable per unit of the parameter
+      (`parameter_unit`). A derivative is NaN where its variable is not defined, such as the impact velocity without
+      impacts. For a single point, `elasticity_VARIABLE` is the relative change of the variable per relative change of
+      the parameter.
     - `valid` (0 or 1) and `reason`. *no-orbit*: the lane is not periodic, or no orbit was found. *neutral-orbit*: a
       multiplier is 1, so that the orbit does not depend smoothly on the parameters. *near-grazing*, *near-stick*: an
       impact, or a stick phase, is about to appear or vanish; derivatives hold only very close to the point.
@@ -166,7 +167,8 @@ def sensitivity(
       not hold. *undefined*: the orbit lacks a variable named in `of`. *failed*: the lane failed, or the derivative
       cannot be computed.
 
-    **Raises:** `InputError` if the source is not a sweep, the dataset of one, or a scene, or a name is unknown.
+    **Raises:** `InputError` if the source is neither a sweep, the dataset of a sweep, nor a scene, or if a name is
+    unknown.
 
     **Example:**
 

@@ -149,9 +149,9 @@ class FileAnalysis(CheckedAnalysis[Spec]):
 class SweepAnalysis(Analysis):
     """An analysis of the lanes of a sweep and their periodic orbits.
 
-    A subclass provides `kind` and `of_lanes`. It overrides `sweep` to restrict the accepted sweeps, and `identity` if
-    the result depends on settings. If the analysis is run as a command, the finished chunks of the sweep are kept until
-    the result is written.
+    A subclass of `SweepAnalysis` must define `kind` and `of_lanes`. Override the method `sweep` to accept only some
+    sweeps, and the method `identity` if the result depends on settings. The command of the analysis keeps finished
+    chunks of the sweep until the result is written.
 
     **Example:** the fraction of lanes that settle on a stable orbit
 
@@ -166,15 +166,15 @@ class SweepAnalysis(Analysis):
     """
 
     def sweep(self, source: Source) -> Sweep:
-        """Return the sweep of `source` with `orbits = true`; raise `InputError` if it cannot be analysed."""
+        """Return the sweep of `source` with `orbits = true`; raise `InputError` if the sweep cannot be analysed."""
         return sweep_with_orbits(source)
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
-        """Return the settings on which the result depends in addition to the sweep, as flat JSON values."""
+        """Return, as flat JSON values, the settings on which the result depends besides the sweep."""
         return {self.kind: True}
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
-        """Return the result; `lanes`: dataset of the sweep with orbits."""
+        """Return the dataset of the analysis; `lanes`: dataset of the sweep, with orbits."""
         raise NotImplementedError(f"{type(self).__name__}.of_lanes")
 
     def run(self, source: Source, progress: bool = True) -> xr.Dataset:

@@ -184,9 +184,9 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
 
 
 SAMPLE_VARIABLES = {
-    "place": Variable("1", "position of the sample in the box", np.int8, PLACES),
-    "regime_share": Variable("1", "share of the samples in the regime"),
-    "regime_kept": Variable("1", "share of the samples whose regime is that of the nominal point"),
+    "place": Variable("1", "position of the sample in the tolerance box", np.int8, PLACES),
+    "regime_share": Variable("1", "share of the samples in each regime"),
+    "regime_kept": Variable("1", "share of the samples with the regime of the nominal point"),
     "irregular_share": Variable("1", "share of the samples whose motion is irregular, undecided or failed"),
 }
 """Variables that neither lanes nor the extremes of `QUANTITIES` have."""
@@ -246,34 +246,35 @@ def tolerance(
     progress: bool = True,
     **parameters: Any,
 ) -> xr.Dataset:
-    """Simulate a machine at samples of the box of its parameter tolerances, and return the extremes and regimes.
+    """Simulate a machine at samples of its tolerance box, and return extremes of variables and shares of regimes.
 
         box = vj.tolerance("vibro-impact", beta=0.4, gamma=(0.75, 0.01), delta=(0.005, 0.001))
         box.impact_velocity_least  # m/s, the worst of the samples from each start
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
-    Each sample runs from every start. A search around the most extreme periodic samples, along each parameter and along
-    the signs of the gradient, adds more extreme points. The extremes are not bounds of the box.
+    Each sample is simulated from every start. A search around the most extreme periodic samples adds samples
+    (*refined*).
 
     **Arguments:**
 
     - `scene`: name of a scene, or a scene.
-    - `parameters`: parameters of the scene (SI), as in `simulate`. A pair (nominal value, half-width) is a tolerance;
-      at least one parameter and at most six have one.
-    - `start`: initial condition, a name or a vector, or a list of these; by default those of a sweep of the scene
-      (`drive` and `stuck`).
+    - `parameters`: parameters of the scene (SI), as in `simulate`. A parameter with a tolerance is a pair (nominal
+      value, half-width); one to six parameters must have a tolerance.
+    - `start`: initial condition, as a name or a vector, or a list of initial conditions; by default `drive` and
+      `stuck`, as in a sweep.
     - `run`: settings of the simulation, as in the table `[run]` of a sweep file.
 
     **Returns:** a dataset.
 
-    - Along `sample` and `start`: the variables of a sweep; along `sample`: the parameters, and `place` (nominal,
-      corner, edge, interior or refined). Sample 0 is the nominal point.
-    - Along `start`, for period, impact velocity, impact energy, peak force and rate of penetration:
-      `NAME_least` and `NAME_most` over the samples where the quantity exists, and `NAME_least_sample` and
-      `NAME_most_sample`, the samples that have these values (-1 if there is none).
-    - `regime_share` along `label` and `start`; `regime_kept`, the share of samples in the nominal regime;
-      `irregular_share`. Refined samples do not count in these shares.
-    - The attribute `extremes` says how the extremes were obtained.
+    - For each sample and start: the variables of a sweep. Variables along `sample`: the parameters, and `place`, the
+      position of the sample in the tolerance box (nominal, corner, edge, interior or refined). Sample 0 is the nominal
+      point.
+    - Variables along `start`: the extremes `NAME_least` and `NAME_most` of period, impact velocity and other variables
+      over the samples, and the indices `NAME_least_sample` and `NAME_most_sample` of the samples with the extremes (-1
+      if there is none).
+    - `regime_share`: share of samples in each regime; `regime_kept`: share of samples in the regime of the nominal
+      point; `irregular_share`: share of irregular, undecided or failed samples. Samples that the search adds do not
+      count in shares of regimes.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
 

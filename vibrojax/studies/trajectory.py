@@ -83,20 +83,20 @@ def simulate(
     - `duration`: simulated time [s]; by default 20 s, or 50 cycles of a `vj.System`.
     - `method`: "located" (default), "smoothed", or "diffrax".
     - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5". Specifying `solver` selects "diffrax".
-    - `error`: accepted relative error, from which step sizes and tolerances follow, unless `step` or `smoothing` is
+    - `error`: accepted relative error, which determines step sizes and tolerances unless `step` or `smoothing` is
       given.
     - `step`: maximum step size, or the step size of the smoothed method [s].
     - `smoothing`: sliding velocity [m/s] over which the smoothed method spreads the jump of dry friction.
-    - `sampling`: interval of the samples [s]; by default a twentieth of the duration of an impact, or 1 ms if the scene
-      has no impacts.
+    - `sampling`: sampling interval [s]; by default a twentieth of the duration of an impact, or 1 ms if the scene has
+      no impacts.
 
     **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], and stuck (1 while the bit
     sticks); scenes with rock also have x3, x4, v3, rock_force and applied_force [N]. Along `event`, the dataset has the
-    times and kinds of events. Scalar variables describe the last part of the motion, as in a sweep: regime, period and
-    so on. The attribute `run` contains the settling and observation times. The observation takes a sixth of the
-    duration, or half of a short duration. A diffrax solver gives neither events nor these scalars.
+    times and kinds of events. Scalar variables, such as regime and period, describe the last part of the motion, the
+    observation. The attribute `run` contains the settling and observation times. Datasets of a diffrax solver have
+    neither events nor scalar variables.
 
-    **Raises:** `InputError` if a name or value is wrong, or if the simulation would take too many steps or samples.
+    **Raises:** `InputError` if a name or value is wrong, or if the simulation would need too many steps or samples.
 
     **Example:**
 

@@ -29,15 +29,16 @@ class Impact:
 
     - `gap`: function `gap(t, y, p)`, positive while the bodies are apart.
     - `velocity`: name of the state that jumps.
-    - `restitution`: coefficient of restitution, a number or a function of `p`. The jump multiplies the rate of the gap
-      by minus this coefficient (Newton's law, also for a stop that moves).
-    - `reset`: instead of `velocity` and `restitution`, a function `reset(t, y, p)`, or `reset(t, y, p, s)` with the
-      sides of switches and the discrete states, that returns new values of states and discrete states by name. Such a
-      stop cannot hold a body at rest: a lane whose bounces accumulate fails.
-    - `direction`: with a `reset`, -1 or 1 for an event that happens where the gap falls or rises through zero. The gap
-      may then have both signs, and nothing happens in the other direction.
+    - `restitution`: coefficient of restitution r, a number or a function of `p`. An impact multiplies the rate of
+      change of the gap by -r (Newton's law), also for a stop that moves.
+    - `reset`: a function `reset(t, y, p)`, in place of `velocity` and `restitution`, that returns new values of states
+      and discrete states by name; in `reset(t, y, p, s)`, `s` holds the sides of switches and the discrete states. A
+      stop with a `reset` cannot hold a body at rest: a lane whose bounces accumulate fails.
+    - `direction`: for a stop with a `reset`, the direction in which the gap crosses zero at the event: -1 (falling) or
+      1 (rising). With a `direction`, the gap may have both signs, and nothing happens when the gap crosses zero in the
+      opposite direction.
 
-    A bounce whose speed is at most 2.4e-7 of a typical speed ends in rest on the stop if the field pushes against the
+    If the field pushes the body against the stop, a bounce slower than 2.4e-7 of a typical speed ends in rest on the
     stop. The body stays at rest until the field points away from the stop.
 
     **Example:**
@@ -75,15 +76,16 @@ class Impact:
 
 @dataclass(frozen=True)
 class Switch:
-    """A surface on which the field changes.
+    """A surface in state space on which the vector field changes.
 
-    - `function`: function `function(t, y, p)`, positive on one side of the surface and negative on the other.
-    - `impact`: True for a soft contact, which begins where the function becomes positive. This counts as an impact; its
-      velocity is the rate of change of the function.
+    - `function`: a function `function(t, y, p)` that is positive on one side of the surface and negative on the other.
+    - `impact`: True for a soft contact, which begins where the function becomes positive. The beginning of a soft
+      contact counts as an impact, and its impact velocity is the rate of change of the function.
 
-    The field takes a fourth argument `s`; `s[name]` is the side, 1 or -1. Where the fields of both sides push towards
-    the surface, the motion slides along it by Filippov's convex combination of the two fields. Sliding ends when one
-    of the fields points away from it (Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988).
+    The function `field` of the system takes a fourth argument `s`; `s[name]` is the side of the switch, 1 or -1. If the
+    fields on both sides point towards the surface, the motion slides along the surface by Filippov's convex combination
+    of the two fields. Sliding ends when one of the two fields points away from the surface (Filippov, *Differential
+    Equations with Discontinuous Righthand Sides*, 1988).
 
     **Example:**
 
@@ -105,18 +107,20 @@ class Switch:
 
 @dataclass(frozen=True)
 class Friction:
-    """Dry friction with the force -sgn(u) mu(|u|) N on a body, which sticks while mu(0) N holds it.
+    """Dry friction: the force -sgn(u) mu(|u|) N on a sliding body, and at most mu(0) N on a sticking body.
 
-    - `relative`: function u = `relative(t, y, p)`, the sliding velocity [m/s]; it rises with the velocity `acts_on`.
-    - `normal`: function N = `normal(t, y, p)`, or `normal(t, y, p, s)` with the sides of switches: the normal force
-      [N].
-    - `law`: a friction law or the name of one of `vj.FRICTION_LAWS`, whose parameters become parameters of the system;
-      or a constant coefficient, a number or a function of `p`.
-    - `acts_on`: name of the velocity that the force changes; `mass`: the mass [kg], a number or a function of `p`.
+    - `relative`: function `relative(t, y, p)` that returns the sliding velocity u [m/s], which must rise with the
+      velocity `acts_on`.
+    - `normal`: function `normal(t, y, p)` that returns the normal force N [N]; in `normal(t, y, p, s)`, `s` holds the
+      sides of switches.
+    - `law`: a constant coefficient of friction (a number or a function of `p`), a friction law, or the name of a law in
+      `vj.FRICTION_LAWS`. The parameters of a law become parameters of the system.
+    - `acts_on`: name of the velocity that the friction force changes; `mass`: mass of the body [kg], a number or a
+      function of `p`.
     - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; by default, the
       coefficient of the law at rest.
-    - `lift_off`: True if a negative normal force counts as zero. Otherwise such a force ends the motion with a reason,
-      because friction would drive the body.
+    - `lift_off`: True if a negative normal force counts as zero. If `lift_off` is False, a negative normal force ends
+      the motion with a reason, because friction would drive the body.
 
     **Example:**
 

@@ -40,33 +40,34 @@ DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
 
 
 class System(SystemScales):
-    """A hybrid dynamical system written as plain functions; it can be used wherever a scene can.
+    """A hybrid dynamical system written as plain functions, which can replace any scene.
 
-    The functions take the time `t` [s], the states `y` and the parameters `p` by name, and use + - * / ** and
-    `vj.elementary`.
+    All functions of a system take the time `t` [s], the states `y` and the parameters `p` by name. Write functions of a
+    system with + - * / ** and the functions of `vj.elementary`.
 
     **Arguments:**
 
     - `name`: name of the system in datasets.
     - `states`: unit of each state by name.
-    - `parameters`: default of each parameter by name, a pair of default and unit such as `(0.5, "rad s-2")`, or an
-      entry of `vj.parameters` with unit and range.
-    - `field`: function `field(t, y, p)`, or `field(t, y, p, s)` with the sides `s` of the switches by name, that
-      returns the time derivative of each state by name.
-    - `period`: period of the forcing [s], a number or a function of `p`. The section is then at the times 0, T, ...
-    - `section`: for a system without forcing, the name of a state, or a pair of a name and a number: the section is
-      where the state rises through zero, or through the number. Or a function `section(t, y, p)`, which rises through
-      zero at the section. Without `period` and `section`, a system can be simulated but not measured.
+    - `parameters`: for each parameter by name, its default, a pair of default and unit such as `(0.5, "rad s-2")`, or
+      an entry of `vj.parameters` with unit and range.
+    - `field`: function `field(t, y, p)` that returns the time derivative of each state by name; in `field(t, y, p, s)`,
+      `s` holds the side of each switch and the discrete states by name.
+    - `period`: period T of the forcing [s], a number or a function of `p`; the section of a forced system is at the
+      times 0, T, ...
+    - `section`: for a system without forcing, a state name, a pair (state name, level), or a function
+      `section(t, y, p)`; the section is where the state or function rises through zero or the level. A system without
+      `period` and `section` can be simulated but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
-    - `modes`: initial value of each discrete state by name. The resets of events change them; the field and other
-      functions read them as `s[name]`. In datasets they are among the states.
-    - `rate`: function of `p` that returns the fastest rate of change [1/s]; by default, it is the spectral radius of
-      the field's Jacobian at the initial state.
+    - `modes`: initial value of each discrete state by name. The resets of events change discrete states, and functions
+      read a discrete state as `s[name]`. Datasets contain discrete states in the same form as continuous states.
+    - `rate`: function of `p` that returns the fastest rate of change [1/s]; by default, the spectral radius of the
+      field's Jacobian at the initial state.
     - `regimes`: the system's own names of regimes, such as `{"periodic": "rocking"}`.
 
-    The default initial condition is zero in all states. Trajectories have the states' names.
+    By default all states begin at zero. Trajectories have the states' names.
 
-    **Raises:** `InputError` if a function gives something that cannot be used.
+    **Raises:** `InputError` if a function returns something that a system cannot use.
 
     **Example:** an impact oscillator (Shaw and Holmes, Journal of Sound and Vibration 90 (1983), 129)
 
