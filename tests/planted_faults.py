@@ -112,9 +112,12 @@ the check run counts as settled | lanes/certificate.py | test_honesty.py -k slow
 a saltation is left out | stepping/polynomial.py | test_orbits.py -k test_reference_cases
 - -moved / jnp.where(rate == 0, 1.0, rate))
 + 0.0 * moved / jnp.where(rate == 0, 1.0, rate))
-a step to a twin of the orbit is taken | periodic/orbits.py | test_as_jax.py -k pitchfork
+a step to a twin of the orbit is taken | periodic/newton.py | test_as_jax.py -k pitchfork
 - return np.asarray(smooth & ((off
-+ return np.asarray(np.isfinite(d) | ((off
++ return np.asarray(np.isfinite(change) | ((off
+a guess beyond a pitchfork leads to the other twin | periodic/orbits.py | test_attractors.py -k pitchfork
+- outside |= same_side & (
++ outside |= False & (
 grazes are where branches stall | periodic/location.py | test_follow_rigid.py -k graze_is_the_same
 - return limit if error <
 + return None if error <

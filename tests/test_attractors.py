@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from systems import IMPACT_OSCILLATOR
+from systems import IMPACT_OSCILLATOR, WALLS
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -103,6 +103,22 @@ def test_orbit_keeps_its_number_where_an_impact_passes_the_section():
     sweep = {"scene": IMPACT_OSCILLATOR, "starts": [[0.0, 0.0]], "grid": {"a": [0.8, 0.88]}}
     result = vj.attractors(sweep, progress=False)
     assert result.sizes["attractor"] == 1 and (np.diff(np.sign(result.orbit_v.values[:, 0])) == -2).all()
+
+
+@pytest.mark.parametrize("d", [[0.33, 0.34003], [0.34003, 0.33]])
+def test_twins_next_to_a_pitchfork_have_numbers_of_their_own(d):
+    """The motion from rest ends on one twin at 0.33, and on the other one at 0.34003, where the two nearly meet.
+
+    The other two starts end on the same twin at both. Up to the pitchfork twins do not meet, so on the section the
+    order of their velocities does not change.
+    """
+    starts = [[0.0, 0.0], [0.1, 0.3], [-0.1, -0.3]]
+    sweeps = [{"scene": WALLS, "starts": starts[:k], "grid": {"d": d}} for k in (1, 3)]
+    alone, all_starts = (vj.attractors(sweep, progress=False).sortby("d") for sweep in sweeps)
+    assert sorted(alone.lane_attractor.values.ravel()) == [0, 1]
+    of_rest, one, other = all_starts.lane_attractor.values.T
+    assert np.ptp(one) == np.ptp(other) == 0 and of_rest.tolist() == [other[0], one[0]]
+    assert all(all_starts.orbit_v.sel(attractor=one[0]) > all_starts.orbit_v.sel(attractor=other[0]))
 
 
 def test_named_starts_are_assigned_to_attractors(sweep, attractors):

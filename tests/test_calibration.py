@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from systems import IMPACT_OSCILLATOR, oscillator_orbits
 
 import vibrojax as vj
@@ -84,6 +85,21 @@ def test_observations_in_another_unit_are_refused(motion):
     runs = _runs(motion)
     with pytest.raises(InputError, match=r'column period: values such as 229.* in ms, write "period \(ms\)"'):
         _calibrated(runs | {"period": 1e3 * runs["period"]})
+
+
+def test_observations_are_converted_from_the_unit_that_they_state(motion):
+    """Columns of a dataset or of a table of arrays may be in any unit."""
+
+    def read(data):
+        return read_calibration({**FIXED, "data": data, "unknown": UNKNOWN})
+
+    runs = _runs(motion)
+    table = {name: xr.DataArray(x, dims="row") for name, x in runs.items()}
+    table["period"] = (1e3 * table["period"]).assign_attrs(units="ms")
+    expected, *values = (read(data).problem.values for data in (runs, table, xr.Dataset(table)))
+    np.testing.assert_allclose(values, [expected] * 2, rtol=1e-15)
+    with pytest.raises(InputError, match=r"column period: is in mm, not a unit of period \[s\]$"):
+        read(table | {"period": table["period"].assign_attrs(units="mm")})
 
 
 class PowerLaw(Model):

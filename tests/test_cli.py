@@ -155,7 +155,7 @@ def test_info_summarises_dataset():
         "accuracy  error_estimate median 1e-05, largest 0.005",
         "          66.67 % of 3 periodic lanes within the accepted 0.001",
         "wall time 2 s",
-        "run       settled for 40 s, observed for 8 s",
+        "run       settled for 40 s, observed for 8 s\n          error = 0.001",
         "friction  coulomb\nfixed     k1 = 300000 N m-1 (default 156250)\n          by default: m1 = 250, v = 1.5",
     ):
         assert line in text, text
@@ -180,15 +180,3 @@ def test_decimal_comma_in_a_file_is_explained(tmp_path, capsys):
     assert main(["sweep", str(tmp_path / "map.toml")]) == 2
     error = capsys.readouterr().err
     assert "v = 1,2: write a decimal point, v = 1.2, or a list, v = [1, 2]" in error and error.count("\n") == 1
-
-
-def test_grids_are_read_from_series_and_data_arrays():
-    """A series of pandas and an array of xarray are axes like a list."""
-    import pandas as pd
-
-    from vibrojax.maps.read import read_sweep
-
-    values = [0.3, 0.4, 0.5]
-    for column in (pd.Series(values), xr.DataArray(values, dims="beta"), np.array(values)):
-        sweep = read_sweep({"scene": "vibro-impact", "grid": {"beta": column}})
-        assert sweep.axes["beta"].tolist() == values

@@ -5,9 +5,10 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.errors import Place
+from vibrojax.errors import InputError, Place
 from vibrojax.maps.read import read_point
 from vibrojax.settings.names import read_names
+from vibrojax.studies.summary import summarise, summary_facts, summary_lines
 
 RUN = {"end_early": False, "settle": 20.0}  # one program for all sweeps of the scene
 DRILL = {"scene": "drilling", "parameters": {"k1": 625000.0}, "run": RUN}
@@ -47,6 +48,22 @@ def test_wider_hole_takes_less_energy_per_volume():
         volume = np.pi * 0.05**2 * float(ds.rate_of_penetration)
         assert volume > 0 and float(ds.specific_energy) == pytest.approx(float(ds.impact_power) / volume)
     assert ds.specific_energy.bit_radius == 0.05
+
+
+@pytest.mark.parametrize("radius", [0.036, 0.2])
+def test_summary_states_radius_start_and_shape(radius):
+    """The radius of the hole is no parameter of the equations, but determines the specific energy."""
+    motion = vj.simulate("drilling", start="stuck", bit_radius=radius, duration=0.5, progress=False)
+    lines, facts = summary_lines(summarise(motion)), summary_facts(motion, "motion.nc")
+    assert facts["parameters"]["bit_radius"] == radius and facts["start"] == "stuck"
+    assert "start     stuck" in lines
+    given = [line for line in lines if "bit_radius" in line]
+    assert len(given) == 1 and ("bit_radius = 0.2 m (default 0.036)" in given[0]) == (radius == 0.2)
+    motion.specific_energy.attrs["bit_radius"] = "wide"
+    with pytest.raises(InputError, match=r'^specific_energy: attribute bit_radius: "wide" is not a finite number$'):
+        summarise(motion)
+    pulses = vj.simulate("penetration", pulse_shape="half-sine", duration=0.5, progress=False)
+    assert "pulse_shape = half-sine" in "\n".join(summary_lines(summarise(pulses)))
 
 
 @pytest.mark.parametrize("scene", vj.SCENES)

@@ -84,10 +84,13 @@ def test_default_name_and_other_settings(here, capsys):
     assert main([*arguments, "--quiet"]) == 0 and (here / "rotary-v.nc").exists() and (here / "rotary-v.png").exists()
     assert main([*arguments, "--quiet"]) == 0
     capsys.readouterr()
-    other = [*arguments[:-1], "settle=21"]
-    line = refusal_line(capsys, *other)
+    written, other = (here / "rotary-v.nc").read_bytes(), [*arguments[:-1], "settle=21"]
+    assert main(other) == 0 and capsys.readouterr().out.endswith("rotary-v-2.nc; picture rotary-v-2.png\n")
+    assert main(other) == 0 and "rotary-v-2.nc: is there already" in capsys.readouterr().out
+    assert (here / "rotary-v.nc").read_bytes() == written
+    line = refusal_line(capsys, *other, "-o", "rotary-v.nc")
     assert line.startswith("rotary-v.nc: holds another result: run.settle was 20.0, is 21.0; --fresh replaces it")
-    assert main([*other, "--fresh", "--quiet"]) == 0
+    assert main([*other, "-o", "rotary-v.nc", "--fresh", "--quiet"]) == 0
     assert "impacts" not in open_dataset("rotary-v.nc")
 
 

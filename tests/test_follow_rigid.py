@@ -126,6 +126,18 @@ def test_graze_is_the_same_from_both_sides():
     assert steep == pytest.approx(smooth, rel=2e-9)
 
 
+@pytest.mark.parametrize("at", [0.85, 0.97])
+def test_branch_point_is_the_same_from_both_branches(at):
+    """At r = 0.8655 twins leave a symmetric orbit, and turn within 1e-3 of their swing.
+
+    The family begins on the symmetric orbit or on a twin. Its branches end at the bounds, the twins on one side.
+    """
+    family = vj.follow(WALLS, along="r", at=at, span=(0.6, 0.99), start=[0.1, 0.3], d=0.341, cycles=1, progress=False)
+    [crossing] = np.concatenate([special_values(family, "branch-point", branch) for branch in (0, 1)])
+    ends = [sorted(special_values(family, "end", branch)) for branch in (0, 1)]
+    assert crossing == pytest.approx(0.865514886644253, abs=1e-12) and sorted(ends) == [[0.6, 0.99], [0.99, 0.99]]
+
+
 def test_family_goes_on_where_an_impact_passes_the_section():
     """At r = 0.928 the mass leaves the right wall as the period begins. The symmetric orbit is known in closed form."""
     family = vj.follow(WALLS, along="r", at=0.8, span=(0.8, 0.95), start=[0.0, 0.0], d=0.5, cycles=1, progress=False)

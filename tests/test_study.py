@@ -11,7 +11,7 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.maps.bounds import MAX_VARIED
 from vibrojax.settings.toml import read_source
-from vibrojax.studies.effects import read_study
+from vibrojax.studies.effects import RULED, Studies, bars_and_interactions, read_study
 from vibrojax.studies.effects_sampling import REASONS, Sampling, factorial_effects, factorial_signs, indices
 
 STUDY = {
@@ -95,6 +95,28 @@ def test_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
         assert main(list(command)) == 2 and line in capsys.readouterr().err
     assert main(["info", "own-study.nc", "--json"]) == 0
     assert {"v", "gamma"} <= set(json.loads(capsys.readouterr().out)["study"]["impact_energy"]["parameters"])
+
+
+@pytest.mark.parametrize(("first", "total", "is_beyond"), [(-0.08, 1.06, True), (0.2, 0.96, False)])
+def test_text_says_that_shares_beyond_their_range_end_there(first, total, is_beyond):
+    """Few samples may estimate a share of the variance below 0 or above 1; the picture says the same."""
+    table = {"first_order": first, "first_order_conf": 0.1, "total_order": total, "total_order_conf": 0.2, "effect": 1}
+    values = {name: (("of", "parameter"), [[x, 0.1]]) for name, x in table.items()}
+    pair = ("of", "parameter", "other"), np.full((1, 2, 2), np.nan)
+    values |= dict.fromkeys(("second_order", "second_order_conf", "interaction"), pair)
+    values |= {name: ("parameter", [1.0, 2.0]) for name in ("low", "high")}
+    values |= dict.fromkeys(("mean", "std", *RULED, "sobol_reason"), ("of", [0]))
+    about = {"of_unit": ("of", ["J"]), "parameter_unit": ("parameter", ["1", "1"])}
+    about |= {
+        "of": ["impact_energy"],
+        "parameter": ["v", "gamma"],
+        "parameter_long_name": ("parameter", ["v", "gamma"]),
+    }
+    ds = xr.Dataset(values, about, {"kind": "study"})
+    lines = "\n".join(Studies().summary(ds)[0].lines)
+    shares = "100 ± 20 % of the variation, 0 %" if is_beyond else "96 ± 20 % of the variation, 20 %"
+    assert f"causes {shares} on its own" in lines and ("shares beyond 0 and 100 %" in lines) == is_beyond
+    assert ("Shares beyond 0 and 1" in bars_and_interactions(ds).note) == is_beyond
 
 
 REFUSED = [

@@ -4,7 +4,9 @@ from math import pi
 
 import numpy as np
 import pandas as pd
+import pint
 import pytest
+import xarray as xr
 
 from vibrojax.errors import InputError, Place
 from vibrojax.maps.read import read_point, read_sweep
@@ -153,6 +155,58 @@ def test_points_can_be_data_frame():
         with pytest.raises(InputError) as caught:
             read_sweep({**base, "points": wrong})
         assert str(caught.value).startswith(line)
+
+
+def with_unit(array, unit):
+    array.attrs["units"] = unit
+    return array
+
+
+UNIT = pint.UnitRegistry()
+SPEEDS = {
+    "array": np.array([0.8, 1.2]),
+    "series": pd.Series([0.8, 1.2]),
+    "m/s": with_unit(xr.DataArray([0.8, 1.2]), "m s-1"),
+    "mm/s": with_unit(xr.DataArray([800, 1200]), "mm/s"),
+    "series in mm/s": with_unit(pd.Series([800.0, 1200.0]), "mm s-1"),
+    "pint": [80, 120] * UNIT.cm / UNIT.s,
+    "list of pint": [0.8 * UNIT.m / UNIT.s, 72 * UNIT.m / UNIT.min],
+}
+
+
+@pytest.mark.parametrize("name", SPEEDS)
+def test_arrays_are_converted_from_the_unit_that_they_state(name):
+    for key in ("grid", "points"):
+        sweep = read_sweep({"scene": "vibro-impact", key: {"v": SPEEDS[name]}})
+        assert (sweep.axes or sweep.points)["v"] == pytest.approx([0.8, 1.2], rel=1e-15)
+        assert f"[{key}]\nv = [0.8, 1.2" in sweep.text
+
+
+def test_datasets_are_converted_from_the_units_that_they_state():
+    """Parameters may be variables or coordinates; other coordinates number the points."""
+    table = xr.Dataset({"beta": ("v", [30, 40], {"units": "%"})}, {"v": SPEEDS["mm/s"].values, "row": ("v", [7, 8])})
+    table.v.attrs["units"] = "mm/s"
+    points = read_sweep({"scene": "vibro-impact", "points": table}).points
+    np.testing.assert_allclose([points["v"], points["beta"]], [[0.8, 1.2], [0.3, 0.4]], rtol=1e-15)
+    point = read_point(Place("simulate"), "vibro-impact", {"v": table.v[1], "beta": 40 * UNIT.percent})
+    assert [point.parameters[name] for name in ("v", "beta")] == pytest.approx([1.2, 0.4], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        ({"grid": {"v": with_unit(xr.DataArray([0.8]), "kN")}}, 'sweep: grid.v: is in "kN"; a unit of m/s is needed'),
+        ({"grid": {"v": [1 * UNIT.lightyear]}}, 'sweep: grid.v[0]: is in "ly"; a unit of m/s is needed'),
+        (
+            {"grid": {"v": [1.0]}, "run": {"settle": with_unit(xr.DataArray(3.0), "min")}},
+            'sweep: run.settle: is in "min"; a number in SI units is needed',
+        ),
+    ],
+)
+def test_arrays_in_other_units_are_refused(tables, line):
+    with pytest.raises(InputError) as caught:
+        read_sweep({"scene": "vibro-impact"} | tables)
+    assert str(caught.value) == line
 
 
 def test_points_file_is_relative_to_sweep_file(tmp_path):

@@ -132,6 +132,9 @@ MISTAKES = {
             vj.Friction("belt", relative=lambda t, y, p: y["x"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
         ]
     },
+    "so that friction would drive it; change the sign": {
+        "events": [vj.Friction("belt", lambda t, y, p: 0.5 - y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")]
+    },
     "floor of a value that depends on states": {
         "field": lambda t, y, p: {"x": y["v"], "v": vj.elementary.floor(y["x"])}
     },

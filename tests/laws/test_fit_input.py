@@ -61,6 +61,17 @@ def test_wrong_data_are_refused(data, named, line):
 # rig data
 
 
+def test_datasets_are_converted_from_the_units_that_they_state():
+    """The law is the same whatever units the dataset is in."""
+    fit, own = fit_rop(sweep()), sweep()
+    for name, scale, unit in (("rate_of_penetration", 3600.0, "m/h"), ("relief", 100.0, "%")):
+        own[name] = (scale * own[name]).assign_attrs(units=unit)
+    names = ["C", "eta0", "data_relief", "data_rate_of_penetration"]
+    xr.testing.assert_allclose(fit_rop(own)[names], fit[names], rtol=1e-9)
+    own.relief.attrs["units"] = "kN"
+    assert refused(own) == 'fit_rop: relief: is in "kN"; a unit of 1 is needed'
+
+
 def test_columns_define_groups(tmp_path):
     """The rows have two forces and rocks in unequal numbers. Each group gives the same fit as alone."""
     path = tmp_path / "rig.csv"

@@ -151,7 +151,8 @@ def _answer(options: Options, analysis: "CheckedAnalysis[Any]", request: Any, de
         dataset = analysis.compute_beside(request, out, not options.fresh, not options.quiet)
         return nullcontext(checked_result(analysis, dataset))
 
-    ds = result(options, default, analysis.identity(request), computed, numbered=analysis.numbered)
+    # What the command line alone describes gets a number; the name of a file stands for one result.
+    ds = result(options, default, analysis.identity(request), computed, numbered=analysis.subject == "machines")
     ds.print(options, facts=analysis.facts(ds.dataset, request) if options.json else None)
 
 
@@ -264,7 +265,7 @@ _CURVE_SYNTAX = "by=NAME from=A to=B [special=I]"
     argument(
         "--at", "NAME=VALUE", "also locate the points at which curves pass this value of one of the two parameters"
     ),
-    *result_options("FAMILY-NAME.nc"),
+    *result_options("FAMILY-NAME.nc, FAMILY-NAME-2.nc, ..."),
 )
 def curves(options: Options) -> None:
     """Continue the special points of a family in a second parameter, as curves, and find where curves meet."""
@@ -287,6 +288,7 @@ def curves(options: Options) -> None:
         f"{file.stem}-{spec.by}.nc",
         spec.identity(),
         lambda _: nullcontext(continue_curves(spec, progress=not options.quiet)),
+        numbered=True,
     )
     ds.print(options, facts=curves_facts(ds.dataset) if options.json else None)
 

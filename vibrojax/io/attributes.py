@@ -78,6 +78,14 @@ def differing_of(ds: xr.Dataset) -> list[Differing]:
     return differing
 
 
+def hole_radius_of(ds: xr.Dataset) -> float | None:
+    """Return the fixed radius of the hole [m], which only `specific_energy` states; None if there is none."""
+    attributes = ds["specific_energy"].attrs if "specific_energy" in ds else {}
+    if "bit_radius" not in attributes:
+        return None
+    return _float(Place("specific_energy: attribute bit_radius"), attributes["bit_radius"])
+
+
 def history_of(ds: xr.Dataset) -> list[str]:
     """Return the first `MOST_LINES` lines of the history, newest first, each shortened."""
     return [printable(line, LONGEST_TEXT) for line in str(_read(ds, "history", "")).split("\n")[:MOST_LINES]]

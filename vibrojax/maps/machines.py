@@ -53,7 +53,7 @@ def read_machines(
     settings = read_settings(place, {name: x for name, x in (run or {}).items() if x is not None}, names.system)
     columns = _read_columns(place, names, lists)
     number = len(next(iter(columns.values()))) if columns else 1
-    fixed = read_parameters(place, plain_table(place, single), names)
+    fixed = read_parameters(place, plain_table(place, single, lambda: names.units), names)
     columns = {name: np.full(number, value) for name, value in (begin or {}).items()} | columns
     names.check_substitutes({name: place.at(name) for name in (*single, *columns)})
     for name, value in (fixed | columns).items():

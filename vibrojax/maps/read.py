@@ -14,8 +14,8 @@ from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.scenes import SCENES, HasRock, Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.run_settings import RunSettings, read_settings
-from vibrojax.settings.toml import TABLES, TOP_KEYS, Source, plain, plain_table, read_source, with_changes
-from vibrojax.settings.values import as_table, check_distinct, flag, read_axis, warn_if_far
+from vibrojax.settings.toml import TABLES, Source, plain, plain_table, read_source, with_changes
+from vibrojax.settings.values import TOP_KEYS, as_table, check_distinct, flag, read_axis, warn_if_far
 
 _KEYS = (*TOP_KEYS, *TABLES, "points")
 
@@ -230,7 +230,7 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     """
     table = dict(parameters)
     names = read_names(place.at("scene"), scene, table, place)
-    table = plain_table(place, table)
+    table = plain_table(place, table, lambda: names.units)
     fixed = read_parameters(place, table, names)
     start = read_start(place.at("start"), start, names)
     names.check_substitutes({name: place.at(name) for name in table})

@@ -35,6 +35,9 @@ POLISHED_STEP = 1e-6
 """Step length above which accepted points are improved by one more Newton step. After shorter steps, the Newton step
 could change the order of the points."""
 
+TANGENT_WITHIN = 1e-3
+"""Size of the next Newton step, relative to the step along the branch, above which the corrector goes on."""
+
 WALK_MAX_ITERATIONS = 6
 """Largest number of corrector iterations; then the step is shortened."""
 
@@ -205,6 +208,10 @@ class _ActiveBranches:
         subset = np.flatnonzero(done | on)
         right = -np.column_stack([now.off[subset], short[subset]])
         change[subset] = solve_bordered(now.matrix[subset], row[subset], right)
+        # Near a branch point, tangents may be wrong although residuals are small.
+        far = np.abs(change).max(axis=1) > TANGENT_WITHIN * self._step[lanes]
+        again = done & far & (self._iterations[lanes] < WALK_MAX_ITERATIONS) & (residual < self._before[lanes] / 2)
+        done, on = done & ~again, on | again
         accepted = np.zeros(len(lanes), bool)
         subset = np.flatnonzero(done)
         if len(subset):

@@ -16,18 +16,24 @@ from vibrojax.periodic.arclength import Branches
 from vibrojax.periodic.brackets import Brackets, TestFunction, interpolate
 from vibrojax.periodic.location import Locator, Test
 from vibrojax.periodic.newton import multipliers
-from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns, solve_bordered
+from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns
 
 BRANCH_POINT, FOLD = SPECIAL_KINDS.index("branch-point"), SPECIAL_KINDS.index("fold")
 
 NO_CHANGE = 1e-6
 """Component of the tangent along the parameter up to which rounding errors decide its sign."""
 
-CLEAR, BRANCH_STEPS = 1e-3, 20
-"""Distance from a branch point at which orbits still are easily found, and limit of the orbits for its location."""
+SHORT, BRANCH_STEPS = 0.02, 20
+"""Length of a bracket from which on Newton's method begins at its zero, and limit of the orbits that shorten it."""
 
-POLISHING_STEPS = 3
-"""Newton steps that remove the error of interpolation."""
+POLISHING_STEPS, POLISHED = 12, 1e-12
+"""Largest number of Newton steps at a branch point, and their size at which they end."""
+
+BESIDE = 0.1
+"""Largest distance of a branch point from the zero at which Newton's method begins."""
+
+CURVATURE_STEP = 1e-4
+"""Difference of the unknowns from which second derivatives follow."""
 
 CRITICAL_MULTIPLIER = 1e-2
 """Largest distance of a multiplier from 1 at a branch point."""
@@ -86,36 +92,36 @@ def crosses(brackets: Brackets) -> Flags:
 def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
     """Return the branch point in one bracket, or None if it cannot be located or is a doubling of a shorter orbit.
 
-    Newton's method fails at the point itself, where two solutions meet. The point is interpolated between orbits on
-    both sides, which are no nearer than `CLEAR`.
+    The corrector fails near the point, where two solutions meet. Newton's method for the point itself begins at a zero
+    that is interpolated between orbits on both sides.
     """
-    bracket = _widened(problem, bracket)
-    begin, row = bracket.near, bracket.near.tangent
-    known = {0.0: begin, float(np.einsum("ij,ij->", row, bracket.far.u - begin.u)): bracket.far}
+    begin, row = bracket.near, _chord(bracket)
+    known = {0.0: begin, float(np.linalg.norm(bracket.far.u - begin.u)): bracket.far}
     values = {place: float(augmented(points, begin)[0]) for place, points in known.items()}
     for _ in range(BRANCH_STEPS):
         low, high = _ends(values)
-        zero = _zero(values, low, high)
-        if max(zero - low, high - zero) <= 2 * CLEAR:
+        if high - low <= SHORT:
             break
-        wide = -1.0 if zero - low > high - zero else 1.0
-        place = float(np.clip(zero + wide * max(CLEAR, 0.1 * (high - low)), low + 0.01 * CLEAR, high - 0.01 * CLEAR))
+        zero, aside = _zero(values, low, high), 0.1 * (high - low)
+        place = float(
+            np.clip(zero + (-aside if zero - low > high - zero else aside), low + aside / 2, high - aside / 2)
+        )
         guess = _between(known, row, place, low, high)[0]
-        now = _corrected(problem, begin.family, guess, row, place + row @ begin.u[0])
-        if now is None:
-            return None
-        known[place] = now
+        now, converged = problem.correct(begin.family, guess, row, place + row @ begin.u[0])
+        if not converged[0]:
+            break
+        known[place] = now.along(row)
         values[place] = float(augmented(known[place], begin)[0])
     low, high = _ends(values)
     u, slope = _between(known, row, _zero(values, low, high), low, high)
-    point = problem.evaluate(begin.family, u)
-    for _ in range(POLISHING_STEPS):  # in all directions but those of the two branches
-        w, sizes, right = np.linalg.svd(point.matrix[0], full_matrices=False)
-        change = (w[:, :-1].T @ point.off[0]) / sizes[:-1] @ right[:-1]
-        point = problem.evaluate(begin.family, point.u - change)
-    point = point._replace(tangent=slope / np.linalg.norm(slope, axis=1, keepdims=True))
-    if not point.residual[0] < CROSSED_RESIDUAL:
+    point = _polished(problem, problem.evaluate(begin.family, u))
+    if point is None or not np.abs(point.u - u).max() < BESIDE:
         return None
+    directions = _directions(problem, point)
+    if directions is None:
+        return None
+    tangent = max(directions, key=lambda t: abs(float(t @ slope[0])))
+    point = point._replace(tangent=(tangent * np.sign(tangent @ slope[0]))[None])
     half = problem.halves(point)
     same = np.linalg.norm(half) < SAME_HALVES * np.linalg.norm(point.u)
     if same or np.abs(multipliers(point.product) - 1).min(initial=np.inf) > CRITICAL_MULTIPLIER:
@@ -123,30 +129,48 @@ def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
     return Brackets(np.array([BRANCH_POINT]), bracket.place, point, bracket.far)
 
 
-def _corrected(problem: Problem, family: Index, guess: Unknowns, row: Unknowns, level: PerLane) -> Points | None:
-    """Return the orbit on the plane row u = `level`, or None."""
-    now, converged = problem.correct(family, guess, row, level)
-    if not converged[0]:
-        return None
-    # The nearer the branch point, the more a residual displaces the orbit: one more Newton step removes it.
-    step = solve_bordered(now.matrix, row, -np.column_stack([now.off, row @ now.u[0] - level]))
-    return problem.evaluate(family, now.u + step).along(row)
+def _polished(problem: Problem, point: Points) -> Points | None:
+    """Return the branch point near a point, None if Newton's method finds none.
+
+    With the matrix A of the equations f, it solves f + b w = 0, A' w = 0 and w' w = 1 for the unknowns, w and b. The
+    solution is regular although A is not of full rank, and b = 0 where two branches cross (Moore, *Numerical Functional
+    Analysis and Optimization* 2, 1980; Govaerts, *Numerical Methods for Bifurcations of Dynamical Equilibria*).
+    """
+    w, b = np.linalg.svd(point.matrix[0])[0][:, -1], 0.0
+    for _ in range(POLISHING_STEPS):
+        a, (rows, columns) = point.matrix[0], point.matrix[0].shape
+        bend = _curvature(problem, point, w)
+        jacobian = np.zeros((rows + columns + 1, columns + rows + 1))
+        jacobian[:rows] = np.hstack([a, b * np.eye(rows), w[:, None]])
+        jacobian[rows:-1, :-1] = np.hstack([bend, a.T])
+        jacobian[-1, columns:-1] = 2 * w
+        off = np.concatenate([point.off[0] + b * w, a.T @ w, [w @ w - 1]])
+        if not np.isfinite(jacobian).all() or not np.isfinite(off).all():
+            return None
+        change = np.linalg.lstsq(jacobian, -off, rcond=None)[0]
+        point = problem.evaluate(point.family, point.u + change[:columns])
+        w, b = w + change[columns:-1], b + change[-1]
+        if np.abs(change[:columns]).max() < POLISHED:
+            break
+    return point if abs(b) < CROSSED_RESIDUAL and point.residual[0] < CROSSED_RESIDUAL else None
 
 
-def _widened(problem: Problem, bracket: Brackets) -> Brackets:
-    """Return a bracket whose ends are farther from the branch point than `CLEAR`, if it is shorter."""
-    near, row = bracket.near, bracket.near.tangent
-    if np.einsum("ij,ij->", row, bracket.far.u - near.u) > 8 * CLEAR:
-        return bracket
-    ends = []
-    for side in (-4 * CLEAR, 4 * CLEAR):
-        guess = (near.u + bracket.far.u) / 2 + side * row
-        ends.append(_corrected(problem, near.family, guess, row, row @ guess[0]))
-    before, behind = ends
-    if before is None or behind is None:
-        return bracket
-    wide = bracket._replace(near=before, far=behind)
-    return wide if crosses(wide)[0] and not wide.changes_events[0] else bracket
+def _curvature(problem: Problem, point: Points, w: np.ndarray) -> np.ndarray:
+    """Return the second derivatives (unknowns, unknowns) of w f, by central differences."""
+    size = point.u.shape[1]
+    moves = CURVATURE_STEP * np.eye(size)
+    now = problem.evaluate(np.repeat(point.family, 2 * size), point.u + np.concatenate([moves, -moves]))
+    rows = np.einsum("i,kij->kj", w, now.matrix)
+    return np.asarray((rows[:size] - rows[size:]).T / (2 * CURVATURE_STEP))
+
+
+def _chord(bracket: Brackets) -> Unknowns:
+    """Return the direction from one end of a bracket to the other.
+
+    At a pitchfork, one of the branches turns, so sharply that tangents at its ends may be normal to this direction.
+    """
+    chord = bracket.far.u - bracket.near.u
+    return np.asarray(chord / np.linalg.norm(chord, axis=1, keepdims=True))
 
 
 def _ends(values: dict[float, float]) -> tuple[float, float]:
@@ -177,21 +201,20 @@ def _between(
     return ends[0], (ends[1] - ends[2]) / (2 * small * width)
 
 
-def second_tangent(problem: Problem, point: Points) -> np.ndarray | None:
-    """Return the tangent of the other branch at a branch point, from the algebraic bifurcation equation."""
+def _directions(problem: Problem, point: Points) -> np.ndarray | None:
+    """Return the unit tangents (2, unknowns) of the branches that cross at a branch point, or None.
+
+    They solve the algebraic bifurcation equation, which is quadratic in the null space of the equations' matrix.
+    """
     w, _, right = np.linalg.svd(point.matrix[0])
-    null, psi, t = right[-2:], w[:, -1], point.tangent[0]
-    d = null[0] - (null[0] @ t) * t, null[1] - (null[1] @ t) * t
-    other = max(d, key=lambda x: float(np.linalg.norm(x)))
-    other = other / np.linalg.norm(other)
-    step = 1e-4
+    sizes, axes = np.linalg.eigh(right[-2:] @ _curvature(problem, point, w[:, -1]) @ right[-2:].T)
+    if not sizes[0] < 0 < sizes[1]:
+        return None
+    along = np.sqrt([sizes[1], -sizes[0]]) * np.array([[1.0, 1.0], [1.0, -1.0]]) @ axes.T @ right[-2:]
+    return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
 
-    def change(direction: np.ndarray) -> np.ndarray:
-        u = point.u[0] + step * np.array([[1.0], [-1.0]]) * direction
-        now = problem.evaluate(np.repeat(point.family, 2), u)
-        return (now.matrix[0] - now.matrix[1]) / (2 * step)
 
-    mixed, own = psi @ change(t) @ other, psi @ change(other) @ other
-    share = -own / (2 * mixed) if mixed else 0.0
-    tangent = other + (share if abs(share) < 10 else 0.0) * t
-    return (tangent / np.linalg.norm(tangent))[None] if np.isfinite(tangent).all() else None
+def second_tangent(problem: Problem, point: Points) -> np.ndarray | None:
+    """Return the tangent (1, unknowns) of the other branch at a branch point, or None."""
+    directions = _directions(problem, point)
+    return None if directions is None else min(directions, key=lambda t: abs(float(t @ point.tangent[0])))[None]

@@ -1,4 +1,4 @@
-"""Linear algebra of periodic orbits: multipliers, multiple shooting, singular values and compounds of matrices."""
+"""Newton's method of periodic orbits: multiple shooting, multipliers, and steps that stay on their branch."""
 
 from typing import Any
 
@@ -8,6 +8,12 @@ from jaxtyping import Bool, Complex, Float, Inexact
 from vibrojax.lazy import jax
 
 PerLane = Float[np.ndarray, " lanes"]
+States = Float[np.ndarray, "lanes cycles states"]
+Scales = Float[np.ndarray, "lanes states"]
+
+SAME_BRANCH = 5e-3
+"""Largest scaled difference between a step along a branch and the trapezoidal rule, with the slopes at both ends. It is
+of third order in the step. A larger one shows that the step has led to another branch, or that it is too long."""
 
 
 def multipliers(product: Float[np.ndarray, "lanes states states"]) -> Complex[np.ndarray, "lanes states"]:
@@ -57,12 +63,67 @@ def shooting_matrix(
     return blocks.reshape(lanes, cycles * rows, cycles * rows)
 
 
+def residual_of(states: States, images: Any, scales: Scales) -> PerLane:
+    """Return the greatest scaled difference between an image and the next state; infinite if a lane did not return."""
+    off = np.abs(images.state - np.roll(states, -1, axis=1)) / scales[:, None]
+    residual = np.where(images.seen.returned.all(axis=1), off.max(axis=(1, 2)), np.inf)
+    return np.where(np.isnan(residual), np.inf, residual)
+
+
+def distance_of(states: States, begin: States, scales: Scales) -> PerLane:
+    """Return the greatest scaled difference between the states and those at the beginning."""
+    return np.max(np.abs(states - begin) / scales[:, None], axis=(1, 2))
+
+
+def newton_step(states: States, images: Any, scales: Scales) -> States:
+    """Return the Newton steps, computed in scaled unknowns; NaN where the matrix is singular.
+
+    A state that the map holds keeps its value: every value belongs to an orbit, so the matrix would be singular.
+    """
+    lanes, cycles, rows = states.shape
+    jacobian = images.jacobian * scales[:, None, None, :] / scales[:, None, :, None]
+    off = (np.roll(states, -1, axis=1) - images.state) / scales[:, None]
+    matrix, off = shooting_matrix(jacobian), off.reshape(lanes, cycles * rows, 1)
+    lane, held = np.nonzero(held_states(images.jacobian).all(axis=1))
+    last = (cycles - 1) * rows + held
+    matrix[lane, last], off[lane, last] = 0.0, 0.0
+    matrix[lane, last, held] = 1.0
+    step = solve(matrix, off)
+    return step.reshape(states.shape) * scales[:, None]
+
+
 def chain(jacobian: Float[np.ndarray, "lanes cycles states states"]) -> Float[np.ndarray, "lanes states states"]:
     """Return the derivative of the map over one period of the motion, the product of the segments' derivatives."""
     product = jacobian[:, 0]
     for k in range(1, jacobian.shape[1]):
         product = jacobian[:, k] @ product
     return product
+
+
+def branch_determinant(product: Float[np.ndarray, "lanes states states"]) -> PerLane:
+    """Return det(I - A), where A is the derivative of the map over one period; zero where branches meet."""
+    return np.asarray(np.linalg.det(np.eye(product.shape[1]) - product))
+
+
+def same_branch(
+    off: States, d: tuple[PerLane, PerLane], trends: tuple[PerLane, PerLane], jumps: Bool[np.ndarray, " lanes"]
+) -> Bool[np.ndarray, " lanes"]:
+    """Return which steps from one orbit to another stay on their branch; NaN slopes are refused.
+
+    States must follow the trapezoidal rule, within `SAME_BRANCH`. Next to a point at which branches meet, they differ
+    by less than that. There d = det(I - A) tells them apart. It varies linearly on the branches that cross at d = 0,
+    with another slope on each, so the tangents at both ends must predict the other end's d to within its size. At a
+    pitchfork, a step from one branch to another is off by at least 3/2 of the greater |d|, at a transcritical point by
+    twice that; at a fold, |d| is a square root, whose slope is infinite. Where an event begins or vanishes d may jump,
+    and the branch goes on if its sign is the same (Feigin's condition; di Bernardo et al., *Piecewise-smooth Dynamical
+    Systems*, section 3.1).
+
+    **Arguments:** `off`: scaled distances of the states from the trapezoidal rule; `d`, `trends`: d at both ends, and
+    its slopes there times the step; `jumps`: mask of steps in which an impact passes the section, so that states jump.
+    """
+    change, size = d[1] - d[0], np.maximum(np.abs(d[0]), np.abs(d[1]))
+    smooth = (np.abs(change - trends[0]) <= size) & (np.abs(change - trends[1]) <= size)
+    return np.asarray(smooth & ((off.max(axis=(1, 2)) <= SAME_BRANCH) | jumps & np.isfinite(off).all(axis=(1, 2))))
 
 
 def signed_singular(matrix: Float[np.ndarray, "lanes n n"]) -> tuple[PerLane, np.ndarray, np.ndarray]:

@@ -26,7 +26,16 @@ from vibrojax.lazy import jax
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.periodic.derivatives import NEUTRAL, NO_ORBIT, OrbitFeatures, differentiated
 from vibrojax.periodic.measuring import ORBIT_ACCURACY, Measuring
-from vibrojax.periodic.newton import chain, held_states, images_by_lane, multipliers, shooting_matrix, solve
+from vibrojax.periodic.newton import (
+    branch_determinant,
+    chain,
+    distance_of,
+    images_by_lane,
+    multipliers,
+    newton_step,
+    residual_of,
+    same_branch,
+)
 from vibrojax.periodic.return_map import Segments, beyond_impacts, driving_values
 from vibrojax.scenes import Scene
 from vibrojax.stepping import Accuracy
@@ -50,10 +59,6 @@ SAME_STATE = 1e-6
 
 SAME_ORBIT = 1e-4
 """Scaled distance below which two orbits are the same; Newton's method finds orbits to 1e-10."""
-
-SAME_BRANCH = 5e-3
-"""Largest scaled difference between a step along a branch and the trapezoidal rule, with the slopes at both ends. It is
-of third order in the step. A larger one shows that the step has led to another branch, or that it is too long."""
 
 STEP_ALLOWANCE = 8
 """Step limit between two crossings of motions close to orbits, as a multiple of the steps that the orbits take."""
@@ -116,6 +121,7 @@ class Orbits:
         go: Segments | None = None,
         enough: float = NEWTON_RESIDUAL,
         iterations: int = NEWTON_MAX_ITERATIONS,
+        same_side: bool = False,
     ) -> "Orbits":
         """Return the orbits near the initial guesses, with the same number of section crossings as the guesses.
 
@@ -126,6 +132,8 @@ class Orbits:
         - `within`: scaled distance from the guess beyond which an orbit is no longer iterated.
         - `go`: the return map of the driving part, by default at its usual accuracy.
         - `enough`: residual at which the iteration of an orbit stops; `iterations`: their largest number.
+        - `same_side`: whether det(I - A) must have the same sign at the guess and at the orbit. Otherwise the guess is
+          beyond a point at which branches meet, such as a pitchfork, and the orbit may be on another branch.
 
         The derivative is evaluated at the states in the result, so callers may apply one more `step`.
         """
@@ -140,27 +148,28 @@ class Orbits:
             return images._replace(jacobian=images.jacobian[..., :rows])  # without parameters of the map
 
         best = evaluate(guess, np.arange(count))
+        side = branch_determinant(chain(best.jacobian))
         greatest, least = best.seen.greatest.max(axis=1), best.seen.least.min(axis=1)
         swing = np.maximum((greatest - least) / 2, MIN_RELATIVE_SWING * np.maximum(greatest, -least))
         swing = np.where(swing > 0, swing, 1.0)
         scales = swing if scales is None else np.where(np.isnan(scales), swing, scales)
-        states, residual = guess.copy(), _residual(guess, best, scales)
+        states, residual = guess.copy(), residual_of(guess, best, scales)
         iterate, now, outside, active = guess, best, np.zeros(count, bool), np.arange(count)
         for _ in range(iterations):
             on = (residual[active] > enough) & np.isfinite(residual[active])
             active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
             if not len(active):
                 break
-            iterate = iterate + _newton_step(iterate, now, scales[active])
+            iterate = iterate + newton_step(iterate, now, scales[active])
             # Far from the orbit, reaching the section may take thousands of steps.
-            distance = _distance(iterate, guess[active], scales[active])
+            distance = distance_of(iterate, guess[active], scales[active])
             outside[active[distance > within[active]]] = True
             on = distance <= within[active]
             active, iterate = active[on], iterate[on]
             if not len(active):
                 break
             now = evaluate(iterate, active)
-            reached = _residual(iterate, now, scales[active])
+            reached = residual_of(iterate, now, scales[active])
             before = residual[active]
             better = reached < before
             kept = active[better]
@@ -169,6 +178,8 @@ class Orbits:
             # A small residual that hardly decreases is dominated by rounding errors.
             on = np.isfinite(reached) & ((reached < before / 2) | (reached > ACCEPTED))
             active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
+        product = chain(best.jacobian)
+        outside |= same_side & (side * branch_determinant(product) < 0)
         return cls(
             scene=scene,
             parameters={name: np.asarray(x, float) for name, x in parameters.items()},
@@ -176,9 +187,9 @@ class Orbits:
             scales=scales,
             times=best.time,
             residual=residual,
-            product=chain(best.jacobian),
-            step=_newton_step(states, best, scales),
-            moved=np.where(outside, np.inf, _distance(states, guess, scales)),
+            product=product,
+            step=newton_step(states, best, scales),
+            moved=np.where(outside, np.inf, distance_of(states, guess, scales)),
             impacts=best.seen.impacts.sum(axis=1),
             margin=best.seen.margin.min(axis=1),
             reach=best.seen.reach.min(axis=1),
@@ -221,7 +232,7 @@ class Orbits:
     @property
     def determinant(self) -> PerOrbit:
         """Determinant of I - A, where A is the derivative of the map over one period; zero where branches meet."""
-        return np.linalg.det(np.eye(self.product.shape[1]) - self.product)
+        return branch_determinant(self.product)
 
     @property
     def stable(self) -> Mask:
@@ -300,7 +311,7 @@ class Orbits:
         continued from its other side. Orbits that do not arrive are returned at the last point at which they were
         accepted.
 
-        With `by`, a step must agree with the slopes at both of its ends (see `_same_branch`), so that it does not lead
+        With `by`, a step must agree with the slopes at both of its ends (see `same_branch`), so that it does not lead
         to another branch, however near this is.
 
         **Arguments:**
@@ -323,7 +334,7 @@ class Orbits:
 
         def correct(lanes: Index, goal: Mapping[str, PerOrbit], guess: States) -> tuple[Orbits, Mask]:
             unit = None if scales is None else scales[lanes]
-            orbit = Orbits.find(self.scene, goal, guess, unit, within, go).refined()
+            orbit = Orbits.find(self.scene, goal, guess, unit, within, go, same_side=True).refined()
             return orbit, orbit.converged & (orbit.moved <= within) & accept(orbit)
 
         while len(active):
@@ -343,9 +354,10 @@ class Orbits:
                 new = np.flatnonzero(good)
                 lanes, ahead, h = active[new], orbit.of(new), advance[new]
                 rates, trends = ahead.derivatives((), by).along(way[lanes])
-                before = rate[lanes] * h[:, None, None], trend[lanes] * h
-                after = rates * h[:, None, None], trends * h
-                good[new] = same = _same_branch(here.of(lanes), before, ahead, after, jumps[new])
+                off = ahead.states - here.states[lanes] - (rate[lanes] + rates) / 2 * h[:, None, None]
+                d = here.of(lanes).determinant, ahead.determinant
+                off = np.abs(off) / here.scales[lanes, None]
+                good[new] = same = same_branch(off, d, (trend[lanes] * h, trends * h), jumps[new])
                 rate[lanes[same]], trend[lanes[same]] = rates[same], trends[same]
             accepted, rejected = active[good], active[~good]
             if not by:
@@ -436,54 +448,3 @@ def _assign(whole: Any, index: Index, part: Any) -> None:
     """Overwrite some entries of all arrays of `whole` by those of `part`."""
     for before, after in zip(jax.tree.leaves(whole), jax.tree.leaves(part), strict=True):
         before[index] = after
-
-
-def _same_branch(
-    old: Orbits, before: tuple[States, PerOrbit], new: Orbits, after: tuple[States, PerOrbit], jumps: Mask
-) -> Mask:
-    """Return which steps from `old` to `new` orbits stay on their branch; NaN slopes are refused.
-
-    States must follow the trapezoidal rule, within `SAME_BRANCH`. Next to a point at which branches meet, they differ
-    by less than that. There d = det(I - A) tells them apart. It varies linearly on the branches that cross at d = 0,
-    with another slope on each, so the tangents at both ends must predict the other end's d to within its size. At a
-    pitchfork, a step from one branch to another is off by at least 3/2 of the greater |d|, at a transcritical point by
-    twice that; at a fold, |d| is a square root, whose slope is infinite. Where an event begins or vanishes d may jump,
-    and the branch goes on if its sign is the same (Feigin's condition; di Bernardo et al., *Piecewise-smooth Dynamical
-    Systems*, section 3.1).
-
-    **Arguments:** `before`, `after`: slopes of states and of d at both ends, times the step; `jumps`: mask of steps in
-    which an impact passes the section, so that states jump.
-    """
-    (rate, trend), (rates, trends) = before, after
-    off = np.abs(new.states - old.states - (rate + rates) / 2) / old.scales[:, None]
-    d, ends = old.determinant, new.determinant
-    size = np.maximum(np.abs(d), np.abs(ends))
-    smooth = (np.abs(ends - d - trend) <= size) & (np.abs(ends - d - trends) <= size)
-    return np.asarray(smooth & ((off.max(axis=(1, 2)) <= SAME_BRANCH) | jumps & np.isfinite(rates).all(axis=(1, 2))))
-
-
-def _residual(states: States, images: Any, scales: Scales) -> PerOrbit:
-    off = np.abs(images.state - np.roll(states, -1, axis=1)) / scales[:, None]
-    residual = np.where(images.seen.returned.all(axis=1), off.max(axis=(1, 2)), np.inf)
-    return np.where(np.isnan(residual), np.inf, residual)
-
-
-def _distance(states: States, begin: States, scales: Scales) -> PerOrbit:
-    return np.max(np.abs(states - begin) / scales[:, None], axis=(1, 2))
-
-
-def _newton_step(states: States, images: Any, scales: Scales) -> States:
-    """Return the Newton steps, computed in scaled unknowns; NaN where the matrix is singular.
-
-    A state that the map holds keeps its value: every value belongs to an orbit, so the matrix would be singular.
-    """
-    lanes, cycles, rows = states.shape
-    jacobian = images.jacobian * scales[:, None, None, :] / scales[:, None, :, None]
-    off = (np.roll(states, -1, axis=1) - images.state) / scales[:, None]
-    matrix, off = shooting_matrix(jacobian), off.reshape(lanes, cycles * rows, 1)
-    lane, held = np.nonzero(held_states(images.jacobian).all(axis=1))
-    last = (cycles - 1) * rows + held
-    matrix[lane, last], off[lane, last] = 0.0, 0.0
-    matrix[lane, last, held] = 1.0
-    step = solve(matrix, off)
-    return step.reshape(states.shape) * scales[:, None]

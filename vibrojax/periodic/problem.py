@@ -34,6 +34,10 @@ CORRECTOR_MAX_ITERATIONS = 8
 CRITICAL = 0.3
 """Distance of a multiplier from 1 below which another branch may be so near that a step can lead to it."""
 
+AT_CROSSING = 1e-7
+"""Largest value of the least singular value of the equations' matrix at a branch point, where steps back lead to either
+branch."""
+
 BACK_ITERATIONS, BACK_RESIDUAL, OTHER_ORBIT = 6, 1e-6, 1e-2
 """Newton steps back to the point before; residual up to which they have found an orbit; and distance of that orbit from
 the point before, relative to the step, from which on it is another one."""
@@ -263,6 +267,7 @@ class Problem:
         near = np.minimum(*(np.abs(multipliers(x.product) - 1).min(axis=1, initial=np.inf) for x in (last, now)))
         lanes = np.flatnonzero((near < CRITICAL) & (now.signature == last.signature).all(axis=1))
         departed = np.zeros(len(now.u), bool)
+        lanes = lanes[np.linalg.svd(last.matrix[lanes], compute_uv=False)[:, -1] > AT_CROSSING]
         if not len(lanes):
             return departed
         back, target, row = now.of(lanes), last.u[lanes], now.tangent[lanes]

@@ -1,8 +1,11 @@
 """Units of lengths, speeds, forces and rates: conversion factors to SI (by pint), and guesses of mistaken units."""
 
 import re
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
+
+from vibrojax.errors import InputError, shown
 
 if TYPE_CHECKING:
     import pint
@@ -148,6 +151,37 @@ def factor(unit: str, si: str) -> float | None:
         except pint.PintError:
             continue
     return None
+
+
+def stated_unit(value: Any) -> str | None:
+    """Return the unit that an array states, None if it states none.
+
+    Arrays of xarray and series of pandas state it as the attribute `units`, quantities of pint as their unit.
+    """
+    attributes = getattr(value, "attrs", None)
+    unit = attributes.get("units") if isinstance(attributes, Mapping) else None
+    if magnitude(value) is not value:
+        unit = format(value.units, "~").replace(" ", "").replace("**", "")
+    return None if unit is None else str(unit) or "1"
+
+
+def magnitude(value: Any) -> Any:
+    """Return the number or array of a quantity of pint; any other value as it is."""
+    return value.magnitude if hasattr(value, "magnitude") and hasattr(value, "units") else value
+
+
+def stated_scale(refuse: Callable[[str], InputError], unit: str, si: str | None) -> float:
+    """Return the factor from a stated unit to the unit `si`, which may be any SI unit if it is None.
+
+    Raise `refuse(problem)` if the dimensions differ, or if it is not known to be 1.
+    """
+    if unit == si or (si is None and any(factor(unit, known) == 1.0 for known in UNITS)):
+        return 1.0
+    scale = None if si is None else factor(unit, si)
+    if scale is None:
+        needed = "a number in SI units is" if si is None else f"a unit of {UNITS.get(si, (si,))[0]} is"
+        raise refuse(f"is in {shown(unit)}; {needed} needed")
+    return scale
 
 
 @cache

@@ -19,8 +19,7 @@ from vibrojax.physics.parameters import FREQUENCIES, REPLACED, Parameter, substi
 from vibrojax.scenes import SCENES, HasContact, HasRock, Scene
 from vibrojax.settings.code_identity import code_identity
 from vibrojax.settings.run_settings import RunSettings
-from vibrojax.settings.toml import TOP_KEYS
-from vibrojax.settings.values import STATE, choice, quantity
+from vibrojax.settings.values import STATE, TOP_KEYS, choice, quantity
 from vibrojax.stepping import STEPPERS, Stepper
 from vibrojax.systems.system import DEFINED, System
 
@@ -73,6 +72,11 @@ class Names:
     def writable(self) -> dict[str, Parameter]:
         """All names to which a number can be assigned: parameters, rpm, bit_radius and frequencies."""
         return self.parameters | substitutes(self.parameters)
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Unit of each number that can be assigned."""
+        return {name: parameter.unit for name, parameter in self.writable.items()}
 
     @cached_property
     def presets(self) -> dict[str, dict[str, dict[str, float]]]:

@@ -7,8 +7,9 @@ the order of a grid's axes.
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path, PurePath
 from typing import Any
@@ -19,9 +20,11 @@ from vibrojax.errors import InputError, Place, shown, suggestion
 from vibrojax.io.files import read_text
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FrictionLaw
+from vibrojax.physics.units import magnitude, stated_scale, stated_unit
 from vibrojax.scenes import Scene
+from vibrojax.settings.names import read_names
 from vibrojax.settings.run_settings import RunSettings
-from vibrojax.settings.values import require_number
+from vibrojax.settings.values import TOP_KEYS, require_number
 from vibrojax.stepping import Stepper
 
 _PACKAGE = Path(__file__).parents[1]
@@ -32,8 +35,9 @@ BUNDLED_FOLDERS = tuple(folder / "sweeps" for folder in (_PACKAGE, *_CHECKOUT))
 _SUBFOLDERS = {"sweep": "", "study": "studies", "design": "designs"}
 
 TABLES = ("parameters", "grid", "run")
-TOP_KEYS = ("scene", "title", "starts", "unusual")
-"""Tables of a sweep, and keys before them."""
+
+Units = Callable[[], Mapping[str, str]]
+"""Function that returns units by the name of what is assigned."""
 
 _OBJECTS = (Scene, FrictionLaw, Stepper)
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -152,21 +156,38 @@ def _bundled(noun: str) -> list[Path]:
     return [path for folder in folders for path in sorted(folder.glob("*.toml"))]
 
 
-def plain_table(place: Place, value: Mapping[str, object]) -> dict[str, object]:
-    """Return a table with its values converted by [vibrojax.settings.toml.plain][]."""
+def plain_table(place: Place, value: Mapping[str, object], units: Units = dict) -> dict[str, object]:
+    """Return a table with its values converted by [vibrojax.settings.toml.plain][].
+
+    A table with a scene has the units of this scene.
+    """
     for key in value:
         if not isinstance(key, str):
             raise place.error(f"{shown(key)} is not a name; keys are text")
-    return {key: plain(place.at(key), item) for key, item in value.items()}
+    if "scene" in value:
+        units = partial(_units_of, place, value)
+    return {key: plain(place.at(key), item, units) for key, item in value.items()}
 
 
-def plain(place: Place, value: object) -> object:
+def _units_of(place: Place, table: Mapping[str, Any]) -> Mapping[str, str]:
+    """Return the units of what can be assigned in the scene of a table, with the options that it chooses."""
+    options = table["parameters"] if isinstance(table.get("parameters"), Mapping) else {}
+    return read_names(place.at("scene"), table["scene"], dict(options), place.at("parameters")).units
+
+
+def plain(place: Place, value: object, units: Units = dict) -> object:
     """Return `value` as TOML types. Arrays, series and numbers, tuples, paths and DataFrames are converted.
 
     Scenes, friction laws and steppers are returned unchanged, because a sweep accepts them in place of their names.
+
+    **Arguments:** `units`: function that returns units by name. An array that states its unit is converted to that of
+    its name; without one, it must be in SI units.
     """
+    if hasattr(value, "data_vars"):  # of xarray, where a parameter may be a coordinate
+        dataset: Any = value
+        value = {name: x for name, x in dataset.variables.items() if name in dataset.data_vars or name in units()}
     if isinstance(value, Mapping):
-        return plain_table(place, value)
+        return plain_table(place, value, units)
     check_untraced(place.error, value)
     if hasattr(value, "columns") and hasattr(value, "to_dict"):
         frame: Any = value  # of pandas or polars; the index is not a column
@@ -174,13 +195,18 @@ def plain(place: Place, value: object) -> object:
         for name in names:
             if names.count(name) > 1:
                 raise place.at(str(name)).error("is there already; give each column once")
-        return plain_table(place, {name: np.asarray(frame[name]).tolist() for name in names})
-    if hasattr(value, "__array__"):  # of NumPy, JAX, pandas or xarray
-        return plain(place, np.asarray(value).tolist())
+        return plain_table(place, {name: frame[name] for name in names}, units)
+    if hasattr(value, "__array__"):  # of NumPy, JAX, pandas, xarray or pint
+        array = np.asarray(magnitude(value))
+        if array.dtype.kind in "iuf" and (unit := stated_unit(value)) is not None:
+            name = place.key.rpartition(".")[2].partition("[")[0]
+            scale = stated_scale(place.error, unit, units().get(name))
+            array = array if scale == 1.0 else scale * array
+        return plain(place, array.tolist())
     if isinstance(value, (list, tuple, range)):
         if all(type(item) is float for item in value):
             return list(value)  # a fast path, because columns of points are long
-        return [plain(place.item(index), item) for index, item in enumerate(value)]
+        return [plain(place.item(index), item, units) for index, item in enumerate(value)]
     if isinstance(value, PurePath):
         return str(value)
     if isinstance(value, int) and not isinstance(value, bool):

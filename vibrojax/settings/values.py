@@ -15,6 +15,9 @@ from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.units import UNITS, likely_units
 
+TOP_KEYS = ("scene", "title", "starts", "unusual")
+"""Keys before the tables of a sweep."""
+
 AXIS_MAX_VALUES = 10**7
 """Maximum number of values of an axis (80 MB). A longer axis is certainly a mistake, and would exhaust the memory
 before the number of lanes is checked."""

@@ -329,7 +329,8 @@ def find_links(
 
     A stable orbit is continued by Newton's method to the neighbour's parameters, and linked to the orbit there that it
     becomes, if any. Continued backwards through its period doubling, an orbit becomes the orbit from which it
-    bifurcated. Neighbouring equilibria are linked, and so are irregular motions of similar statistics.
+    bifurcated, and so do twins beyond their pitchfork. Neighbouring equilibria are linked, and so are irregular motions
+    of similar statistics.
 
     **Arguments:** `parameters`: values at the points by name, in row-major order over the grid's `shape`.
     """

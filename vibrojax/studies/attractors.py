@@ -98,8 +98,9 @@ def attractors(
     motion if their statistics over a longer observation agree, within the resolution in the attribute `attractors`.
 
     Motions at neighbouring grid points belong to one attractor if continuation from one point to the other turns the
-    first orbit into the second. Attractor 0 has the greatest fraction of initial conditions over the grid. The numbers
-    of the attractors do not depend on the order of values on an axis.
+    first orbit into the second. At a pitchfork, the symmetric orbit has the number of one of its twins. Attractor 0 has
+    the greatest fraction of initial conditions over the grid. The numbers of the attractors do not depend on the order
+    of values on an axis.
 
     **Arguments:**
 

@@ -21,7 +21,7 @@ from vibrojax.maps.read import read_point
 from vibrojax.periodic.derivatives import orbit_variables
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.parameters import Parameter
-from vibrojax.physics.units import factor, likely_units
+from vibrojax.physics.units import factor, likely_units, stated_unit
 from vibrojax.settings.fields import Settings, given, setting, settings_of
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import Source, plain, read_source
@@ -308,7 +308,7 @@ def _read_table(
                     fault = f"{shown(str(cell).strip())} is not a number; write one, like 0.4, or leave it empty"
                     raise place.at(f"line {line}, column {name}").error(fault)
     if isinstance(data, xr.Dataset):
-        data = {name: x.values for name, x in data.variables.items() if x.ndim == 1}
+        data = {name: x for name, x in data.variables.items() if x.ndim == 1}
     if not isinstance(data, (Mapping, pd.DataFrame)):
         raise place.error(f"{shown(data)} is no table; give one, a dataset, or the path of a CSV file")
     columns: dict[str, np.ndarray] = {}
@@ -322,7 +322,8 @@ def _read_table(
             continue
         if name in columns:
             raise here.error(f"is a second column of {name}; give one")
-        scale = 1.0 if unit is None else factor(unit, units[name])
+        unit = unit or stated_unit(data[key])
+        scale = 1.0 if unit in (None, units[name]) else factor(unit, units[name])
         if scale is None:
             raise here.error(f"is in {unit}, not a unit of {name} [{units[name]}]")
         for value in jax.tree.leaves(data[key]):

@@ -379,6 +379,9 @@ def _sentences(row: xr.Dataset) -> list[str]:
         hardly, each = ("hardly matters", "") if len(others) == 1 else ("hardly matter", " each")
         listed = " and ".join([", ".join(others[:-1]), others[-1]] if len(others) > 1 else others)
         sentences.append(f"{listed} {hardly}: less than {_percent(MIN_SHARE)} of the variation{each}")
+    shown = np.concatenate([row["first_order"].values[order], total[order], [second[pair] for pair in pairs]])
+    if (np.abs(np.round(shown, 2) - 0.5) > 0.5).any():
+        sentences.append("shares beyond 0 and 100 %, from too few samples, are given as 0 and 100 %")
     if float(row["total_order_conf"].max()) > WIDE:
         sentences.append("some of these shares are uncertain; double the samples until they are known well enough")
     return sentences
@@ -390,8 +393,8 @@ def _parameter_sentence(row: xr.Dataset, k: int) -> str:
     first, total, error, effect = (
         float(row[key][k]) for key in ("first_order", "total_order", "total_order_conf", "effect")
     )
-    text = f"{name} ({long_name}) causes {100 * min(total, 1.0):.0f} ± {_percent(error)} of the variation"
-    text += f", {_percent(min(max(first, 0.0), total, 1.0))} on its own"
+    text = f"{name} ({long_name}) causes {_percent(total).removesuffix(' %')} ± {_percent(error)} of the variation"
+    text += f", {_percent(first)} on its own"
     if not np.isfinite(effect):
         return text
     change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()
@@ -419,4 +422,5 @@ def _pair_sentence(row: xr.Dataset, i: int, j: int) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
+    """Return a share as text; a share beyond 0 and 1, from too few samples, becomes 0 or 100 %."""
+    return f"{100 * min(max(share, 0.0), 1.0):.0f} %"

@@ -242,7 +242,7 @@ class Families(MachineAnalysis[FamilySpec]):
     """Follow a family of periodic orbits or equilibria, stable and unstable, along one parameter."""
 
     kind, command = "family", "follow"
-    file, view = "SCENE-NAME.nc", "families"
+    file, view = "SCENE-NAME.nc, SCENE-NAME-2.nc, ...", "families"
     terms = FAMILY_WORDS
     pictures = (PictureRule("families", lambda held: True, families),)
 

@@ -211,7 +211,7 @@ class Pushes(MachineAnalysis[Machines]):
     kind = "push"
     pictures = (PictureRule("pushes", lambda held: True, smallest_pushes),)
     always = {"orbits": True}  # noqa: RUF012
-    file, numbered = "SCENE-push.nc, SCENE-push-2.nc, ...", True
+    file = "SCENE-push.nc, SCENE-push-2.nc, ..."
     scenes = "rotary, vibro-impact or drilling"
 
     scan: int = setting(SCAN, "number of pushes per scan and direction", least=2, most=10_000)

@@ -26,7 +26,7 @@ from vibrojax.io.tables import line_ranges
 from vibrojax.io.variables import Variable, described
 from vibrojax.measures.labels import FAILED, IRREGULAR
 from vibrojax.physics.meanings import suggest_coordinate
-from vibrojax.physics.units import UNITS, factor
+from vibrojax.physics.units import UNITS, factor, stated_scale, stated_unit
 from vibrojax.progress import LOG
 from vibrojax.settings.values import choice, warn_if_far
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMULAS, REASONS, STANDINGS, supported
@@ -299,13 +299,17 @@ def _lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
             raise place.at(name).error(f"missing; a sweep of a scene with rock has it, this holds {names}")
         if data[name].dtype.kind not in "fiu":
             raise place.at(name).error("does not hold numbers; the data of a sweep are needed")
-    relief, rate = xr.broadcast(data[RELIEF], data[RATE])
+    columns = {name: data[name] for name in (RELIEF, RATE, FORCE) if name in data}
+    for name, x in columns.items():
+        if (unit := stated_unit(x)) is not None:
+            columns[name] = x * stated_scale(place.at(name).error, unit, KNOWN[name].unit)
+    relief, rate = xr.broadcast(columns[RELIEF], columns[RATE])
     valid = (relief > 0) & (relief < np.inf) & (rate >= 0) & (rate < np.inf)
     if "regime" in data:
         valid = valid & ~data["regime"].isin([FAILED, IRREGULAR])
     if "status" in data:
         valid = valid & (data["status"] == 0)
-    weight = data[FORCE] if _has_force(data) else relief
+    weight = columns[FORCE] if _has_force(data) else relief
     number = data[LINE] if LINE in data.coords else xr.zeros_like(relief)
     parts = {"relief": relief, "rate": rate, "weight": weight, "number": number}
     parts |= {"valid": valid, "is_lane": xr.ones_like(valid)}

@@ -29,9 +29,6 @@ class CheckedAnalysis(Analysis, Generic[Spec]):
     file: ClassVar[str] = ""
     """Default name of the command's file, for `--help`."""
 
-    numbered: ClassVar[bool] = False
-    """Whether files of different results, if no name is given, get numbers instead of an error."""
-
     def identity(self, spec: Spec) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
         raise NotImplementedError(f"{type(self).__name__}.identity")

@@ -1,5 +1,6 @@
 """The summary of a dataset, as lines of text and as facts for JSON."""
 
+import json
 from typing import Any
 
 import xarray as xr
@@ -10,6 +11,7 @@ from vibrojax.io.attributes import (
     certified_of,
     differing_of,
     history_of,
+    hole_radius_of,
     lane_count,
     parameters_of,
     run_of,
@@ -17,6 +19,7 @@ from vibrojax.io.attributes import (
     title_of,
 )
 from vibrojax.io.kinds import kind_of
+from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.studies import WORDS
 from vibrojax.studies.analysis import SummaryPart, analysis_of
 from vibrojax.studies.sweep import lane_parts
@@ -27,7 +30,7 @@ LONGEST_LINE = 2000
 LONGEST_FACT = 300
 """Greatest number of characters of a unit, a meaning or a name in JSON."""
 
-_TEXTS = ("title", "scene", "friction", "pulse_shape", "source", "jax", "along")
+_TEXTS = ("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "along")
 _VALUES = ("parameters", "differing", "run", "solver", "columns", "wall_time_s")
 _EMPTY = ("regimes", "orbits", "natures", "families", "attractors", "failures", "found")
 """JSON keys that every summary has; they hold an empty object if they do not apply."""
@@ -45,14 +48,19 @@ def summarise(ds: xr.Dataset) -> list[SummaryPart]:
     of_lanes, scene = lane_parts(ds), text_of(ds, "scene")
     run = run_of(ds)
     times = {"settle", "observe"} <= set(run)
+    lasts = f"settled for {run['settle']:g} s, observed for {run['observe']:g} s" if times else ""
+    others = {name: json.dumps(value) for name, value in run.items() if name not in ("settle", "observe")}
+    settings = ", ".join(f"{name} = {value}" for name, value in others.items())
+    shape = text_of(ds, "pulse_shape")
     return [
         SummaryPart("title", [title_of(ds)] if title_of(ds) else []),
         SummaryPart("scene", [scene, *filter(None, [_COMPARED.get(scene)])] if scene else []),
         SummaryPart("grid", [_dimension(ds, str(name))[0] for name in ds.sizes]),
         SummaryPart("lanes", [f"{lane_count(ds)} (a lane: {WORDS['lane']})"] if "lanes" in ds.attrs else []),
         SummaryPart("friction", [text_of(ds, "friction")] if "friction" in ds.attrs else []),
-        SummaryPart("fixed", _fixed_lines(ds)),
-        SummaryPart("run", [f"settled for {run['settle']:g} s, observed for {run['observe']:g} s"] if times else []),
+        SummaryPart("start", [text_of(ds, "start")] if "start" in ds.attrs else []),
+        SummaryPart("fixed", [f"pulse_shape = {shape}"] * bool(shape) + _fixed_lines(ds)),
+        SummaryPart("run", [*filter(None, [lasts, settings])]),
         *(of_lanes[name] for name in ("regimes", "orbits", "natures")),
         *analysis_of(ds).summary(ds),
         *(of_lanes[name] for name in ("failures", "accuracy")),
@@ -77,13 +85,13 @@ def summary_lines(parts: list[SummaryPart]) -> list[str]:
 def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
     """Return a summary with stable keys; values that do not apply to the dataset are null or empty.
 
-    `file`, `kind`, `title`, `scene`, `friction`, `pulse_shape`, `source`, `jax`, `along`, `history` (lines, the newest
-    first); `dimensions` and `variables` by name; `parameters`, `differing`, `run`, `solver`, `columns`, `certified` as
-    in the dataset's attributes; `lanes`; `regimes`: number of lanes by regime; `orbits`: number of lanes by `reason`
-    and by `stable`; `natures`: number of lanes by nature; `families`: as `follow --json` prints them; `attractors`:
-    mean fraction over the grid by attractor number (`shares`), and number of lanes `unassigned`; `failures`: number of
-    lanes by reason; `accuracy`; `found`: features of a single trajectory; `wall_time_s`; and keys that an analysis
-    adds.
+    `file`, `kind`, `title`, `scene`, `friction`, `pulse_shape`, `start`, `source`, `jax`, `along`, `history` (lines,
+    the newest first); `dimensions` and `variables` by name; `parameters`, also the radius of the hole as `bit_radius`;
+    `differing`, `run`, `solver`, `columns`, `certified` as in the dataset's attributes; `lanes`; `regimes`: number of
+    lanes by regime; `orbits`: number of lanes by `reason` and by `stable`; `natures`: number of lanes by nature;
+    `families`: as `follow --json` prints them; `attractors`: mean fraction over the grid by attractor number
+    (`shares`), and number of lanes `unassigned`; `failures`: number of lanes by reason; `accuracy`; `found`: features
+    of a single trajectory; `wall_time_s`; and keys that an analysis adds.
     """
     facts: dict[str, Any] = {
         "file": file,
@@ -96,6 +104,8 @@ def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
         "lanes": lane_count(ds),
         **{name: {} for name in _EMPTY},
     }
+    if facts["parameters"] is not None:
+        facts["parameters"] = _parameters(ds)
     variables: dict[str, Any] = {}
     for part in summarise(ds):
         facts |= part.facts
@@ -105,15 +115,23 @@ def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
     return facts | {"variables": variables}
 
 
+def _parameters(ds: xr.Dataset) -> dict[str, float]:
+    """Return the fixed parameters, with the radius of the hole, which no equation has."""
+    radius = hole_radius_of(ds)
+    return parameters_of(ds) | ({} if radius is None else {"bit_radius": radius})
+
+
 def _fixed_lines(ds: xr.Dataset) -> list[str]:
     """Format the fixed parameters: one line for each that differs from its default, then one line for the others."""
     if "parameters" not in ds.attrs:
         return []
-    changed = {}
+    values, changed = _parameters(ds), {}
     for row in differing_of(ds):
         unit = "" if row["units"] == "1" else f" {row['units']}"
         changed[row["name"]] = f"{row['name']} = {row['value']:g}{unit} (default {row['default']:g})"
-    others = ", ".join(f"{name} = {value:g}" for name, value in parameters_of(ds).items() if name not in changed)
+    if "differing" in ds.attrs and values.get("bit_radius", HOLE_RADIUS) != HOLE_RADIUS:
+        changed["bit_radius"] = f"bit_radius = {values['bit_radius']:g} m (default {HOLE_RADIUS:g})"
+    others = ", ".join(f"{name} = {value:g}" for name, value in values.items() if name not in changed)
     default = "by default: " if "differing" in ds.attrs else ""
     return [*changed.values(), *([default + others] if others else [])]
 

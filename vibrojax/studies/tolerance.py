@@ -298,7 +298,7 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
     pictures = (PictureRule("extremes of the samples of a tolerance box", lambda held: True, extremes_picture),)
     view = "plots"
     run_settings = ("settle", "observe", "error")
-    file, numbered = "SCENE-tolerance.nc, SCENE-tolerance-2.nc, ...", True
+    file = "SCENE-tolerance.nc, SCENE-tolerance-2.nc, ..."
     lists, tolerances = False, True
 
     def machines(

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import Place, counted, shown
-from vibrojax.io.attributes import attribute_of, flags, parameters_of, run_of
+from vibrojax.io.attributes import attribute_of, flags, hole_radius_of, parameters_of, run_of
 from vibrojax.io.variables import Variable
 from vibrojax.lanes.record import (
     KINDS,
@@ -133,7 +133,7 @@ class Trajectories(MachineAnalysis[Point]):
     kind, command = "trajectory", "simulate"
     view = "motion"
     run_settings = ()
-    file, lists, numbered = "SCENE.nc, SCENE-2.nc, ...", False, True
+    file, lists = "SCENE.nc, SCENE-2.nc, ...", False
     pictures = (
         PictureRule("motion", lambda held: held.bit_on_rock and held.swept_sine, response),
         PictureRule("motion", lambda held: held.bit_on_rock, pulses),
@@ -353,7 +353,7 @@ def _power_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     for name in ("impact_power", "specific_energy", "stick_slip_index"):
         if math.isfinite(values.get(name, math.nan)) and (name != "impact_power" or values[name] > 0):
             factor, unit = scale(ds[name])
-            radius = ds[name].attrs.get("bit_radius")
+            radius = hole_radius_of(ds) if name == "specific_energy" else None
             hole = "" if radius is None else f" (hole of radius {radius:g} m)"
             parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip() + hole)
     return ", ".join(parts).replace("stick slip", "stick-slip")

@@ -109,7 +109,8 @@ class Switch:
 class Friction:
     """Dry friction: the force -sgn(u) mu(|u|) N on a sliding body, and at most mu(0) N on a sticking body.
 
-    - `relative`: function `relative(t, y, p)` that returns the sliding velocity u [m/s].
+    - `relative`: function `relative(t, y, p)` that returns the sliding velocity u [m/s], which must rise with the
+      velocity `acts_on`.
     - `normal`: function `normal(t, y, p)` that returns the normal force N [N]; in `normal(t, y, p, s)`, `s` holds the
       sides of switches.
     - `law`: a constant coefficient of friction (a number or a function of `p`), a friction law, or the name of a law in

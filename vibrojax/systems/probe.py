@@ -238,7 +238,7 @@ class Probe:
         self._check_series()
 
     def _check_effect(self, event: Event) -> None:
-        """Refuse an event whose function does not depend on what the event changes."""
+        """Refuse an event whose function does not depend on what the event changes, or a friction that drives."""
         if isinstance(event, Friction):
             names, what = {event.acts_on}, f"relative does not depend on {event.acts_on}, the velocity on which it acts"
         elif isinstance(event, Impact) and event.velocity is not None:
@@ -250,6 +250,9 @@ class Probe:
         before, after = (event.surface(self._t, y, self._p) for y in (self._y, self._y | moved))
         if equal(before, after):
             raise self._refuse(f"event {event.name}: {what}")
+        if isinstance(event, Friction) and not bool((np.asarray(after) >= np.asarray(before)).all()):
+            fault = f"relative falls where {event.acts_on} rises, so that friction would drive it; change the sign"
+            raise self._refuse(f"event {event.name}: {fault}")
 
     def _check_series(self) -> None:
         self._check_expands("field", lambda t, y, p: self.rates(t, y, number=False))
