@@ -114,6 +114,7 @@ def archive(name: str, content: bytes, compression=zipfile.ZIP_STORED) -> bytes:
         archive('["x", "|O8", []]', bytes(8)),
         archive('["x", "<f8", [4]]', bytes(32), zipfile.ZIP_DEFLATED),
     ],
+    ids=["no-archive", "no-shape", "too-long", "too-short", "objects", "compressed"],  # archives contain the time
 )
 def test_files_from_anywhere_are_refused(store, content):
     """No pickle is loaded, nothing unpacks to more than its size, and no array exceeds its file."""
