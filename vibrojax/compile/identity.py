@@ -294,8 +294,8 @@ def _known_name(x: Any) -> str | None:
 
 
 def _is_jax_array(x: Any) -> bool:
-    jax = sys.modules.get("jax")
-    return jax is not None and isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
+    jax: Any = sys.modules.get("jax")  # without classes while another thread imports it
+    return isinstance(x, getattr(jax, "Array", ())) and not isinstance(x, jax.core.Tracer)
 
 
 def _top(module: str | None) -> str:
