@@ -55,8 +55,8 @@ def loops(code: bytes) -> list[tuple[int, list[tuple[str, str]]]]:
     body = text.stdout.split("<lanes>:")[0]
     lines = [(int(a, 16), op, rest) for a, op, rest in re.findall(r"^\s*([0-9a-f]+):\s+(\S+)\s*(.*)$", body, re.M)]
     jumps = [(a, int(rest.split()[0], 16)) for a, op, rest in lines if op.startswith("j") and "<group" in rest]
-    backwards = [(target, a) for a, target in jumps if target < a]
-    return [(first, [(op, rest) for a, op, rest in lines if first <= a <= last]) for first, last in sorted(backwards)]
+    backwards = dict(sorted((target, a) for a, target in jumps if target < a))  # the last jump ends a loop
+    return [(first, [(op, rest) for a, op, rest in lines if first <= a <= last]) for first, last in backwards.items()]
 
 
 def operations(instructions: list[tuple[str, str]]) -> Counter:
