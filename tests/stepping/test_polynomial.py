@@ -91,12 +91,12 @@ def test_maximum_within_step():
 
 
 def test_extremes_of_a_wave_on_a_ramp():
-    """A wave on a ramp turns twice within a step of 2 rad, at cos(phase + angle) = slope; its ends may be outside."""
-    phase, slope = map(np.ravel, np.meshgrid(np.linspace(-np.pi, np.pi, 91), np.linspace(0, 1.4, 36)))
+    """A wave on a ramp turns twice within a step of 2 rad, at cos(phase + angle) = ramp; its ends may be outside."""
+    phase, ramp = map(np.ravel, np.meshgrid(np.linspace(-np.pi, np.pi, 91), np.linspace(0, 1.4, 36)))
     wave = np.array([np.sin(phase + k * np.pi / 2) * 2.0**k / factorial(k) for k in range(25)])
-    wave[1] -= 2 * slope
+    wave[1] -= 2 * ramp
     angle = np.linspace(0, 2, 2001)[:, None]
-    values = np.sin(phase + angle) - slope * angle
+    values = np.sin(phase + angle) - ramp * angle
     low, high = extremes([jnp.asarray(c) for c in wave], jnp.ones(len(phase)))
     below, above = values.min(axis=0), values.max(axis=0)
     for found, right in ((-low, -below), (high, above)):

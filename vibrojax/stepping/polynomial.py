@@ -51,7 +51,7 @@ def extremes(coefficients: Coefficients, tau: Array) -> "tuple[jax.Array, jax.Ar
 
 
 def _samples(coefficients: Coefficients, tau: Array) -> list[Array]:
-    return [value(coefficients, tau * (k / INTERVALS)) for k in range(INTERVALS + 1)]
+    return [coefficients[0], *(value(coefficients, tau * (k / INTERVALS)) for k in range(1, INTERVALS + 1))]
 
 
 def _highest(coefficients: Coefficients, tau: Array, samples: list[Array]) -> "jax.Array":
