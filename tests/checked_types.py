@@ -3,16 +3,40 @@
 import dataclasses
 import functools
 import inspect
+import threading
 import typing
+from importlib.machinery import SourceFileLoader
+from unittest.mock import patch
 
 import jaxtyping
 from beartype import beartype
+from jaxtyping import _import_hook
 
 CONTEXT = jaxtyping.jaxtyped("context")
 
 FULLY_CHECKED_CALLS, CALLS_PER_CHECK = 8, 50
 """The first calls of a function are checked, and then one in so many: checks of every call take a third of the time of
 the tests, and a wrong annotation is wrong at one of the first calls."""
+
+ONE_THREAD = threading.Lock()
+
+
+def load_in_threads():
+    """Let two threads import modules of the package at once.
+
+    CPython before 3.11.9 and 3.12.3 counts the depth of all syntax trees that are built in one variable, so that a
+    second one raises a SystemError (python/cpython#106905). And jaxtyping's loader replaces a function of importlib
+    while it runs a module; a second thread would restore it too early, and exchange compiled files with and without
+    checks. Here, one thread at a time reads and compiles, and modules run without the lock.
+    """
+
+    def get_code(loader, name):
+        cache = functools.partial(_import_hook._optimized_cache_from_source, loader._typechecker.get_hash())
+        with ONE_THREAD, patch("importlib._bootstrap_external.cache_from_source", cache):
+            return SourceFileLoader.get_code(loader, name)
+
+    _import_hook._JaxtypingLoader.get_code = get_code
+    _import_hook._JaxtypingLoader.exec_module = SourceFileLoader.exec_module
 
 
 def checked(thing=None, *, typechecker=None):

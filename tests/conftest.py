@@ -32,7 +32,7 @@ if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
-from checked_types import checked  # noqa: E402
+from checked_types import checked, load_in_threads  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
@@ -53,6 +53,7 @@ CHECKED = [
     for path in sorted(PACKAGE.rglob("[a-z]*.py"))
     if not UNCHECKED.fullmatch(file := path.relative_to(PACKAGE).as_posix())
 ]
+load_in_threads()
 install_import_hook(CHECKED, "beartype.beartype")
 jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the modules
 
