@@ -1,7 +1,9 @@
 """Test the smallest push out of the working cycle: it leaves, and all smaller ones of a fine scan return."""
 
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -113,3 +115,12 @@ def test_smallest_push_leaves_and_next_smaller_returns(strong_cycle):
     assert int(strong_cycle.regime_x1[1]) == IRREGULAR
     velocity = run_after_pushes(strong_cycle, "x1", [0.0, push - bracket, push], gamma=0.75).impact_velocity.values
     assert velocity[1] == pytest.approx(velocity[0], rel=1e-6) and velocity[2] < 0.3 * velocity[0]
+
+
+def test_machines_are_arrays_of_any_library():
+    """Arrays that state a unit are converted to SI, as in sweeps."""
+    about = {"gamma": 0.75, "delta": 0.005, "start": "stuck", "scan": 2, "progress": False}
+    expected = vj.smallest_push("vibro-impact", v=[1.5, 1.6], **about)
+    stated = xr.DataArray([1500.0, 1600.0], dims="machine", attrs={"units": "mm/s"})
+    for values in (stated, pd.Series([1.5, 1.6])):
+        xr.testing.assert_allclose(vj.smallest_push("vibro-impact", v=values, **about), expected, rtol=1e-12)

@@ -125,6 +125,9 @@ def test_verdict_names_form_that_describes_data(noise):
     assert "  group=1: the data support line, C (eta - eta0), against the other forms" in lines
     assert "the log law is not rejected in 1 of 2, as onset in 1" in lines and lines[-1].startswith("  group=0: C = ")
     assert verdict(fitted(0 * line))[-1] == "no form can be told from the lanes that are there"
+    # Rates that do not depend on the relief determine no C of a form whose onset is a convention.
+    fit = fitted(1e-3 * (1 + 0.02 * np.array([1, -1, -1, 1, 1, -1, -1, 1])), np.linspace(0.6, 0.61, 8))
+    assert (fit.standing.sel(form=["percent", "constant"]) > 1).all() and "recommended" not in "".join(verdict(fit))
 
 
 # censored lanes

@@ -129,6 +129,8 @@ REFUSED = {
         "line 13 has 3 cells; 4 are needed, one a column",
     ),
     "cells.csv": ("DEPTH (m),ROP (m/h)\n1,2,3\n2,3\n4\n", "line 2 has 3 cells; line 4 has 1 cell; 2 are needed"),
+    "bars.csv": ("WOB (kN)|ROP (m/h)\n100|20\n110|21\n", "no numbers in the first 3 lines; commas, semicolons or tabs"),
+    "slow.csv": ("WOB (kN),ROP (min/ft)\n100,3\n110,2\n", '"min/ft" is a time per length; give the rate 1/x, in ft/'),
     "thousands.csv": ("WOB (kN);ROP (m/h)\n1,500;2,500\n", "commas are ambiguous: they may be"),
     "falling.csv": (
         csv(METRIC, columns=(DEPTH[::-1], *FOUR[1:])),
@@ -216,12 +218,14 @@ def test_rows_off_bottom_and_depth_outliers_cost_only_themselves():
 
 
 def test_conditions_choose_rows():
-    names = ["Time (min)", *METRIC.split(","), "Formation"]
-    table = pd.DataFrame(dict(zip(names, (np.arange(N), *FOUR, ["chalk", "shale"] * (N // 2)), strict=True)))
+    names = ["Time (min)", *METRIC.split(","), "Gas (ppm)", "Formation"]
+    columns = np.arange(N), *FOUR, np.arange(N), ["chalk", "shale"] * (N // 2)
+    table = pd.DataFrame(dict(zip(names, columns, strict=True)))
     for where, kept in (
         ("weight_on_bit < 20 klbf", WEIGHT / KLBF < 20),
         (["depth (m) >= 1010", "depth < 1020"], (DEPTH >= 1010) & (DEPTH < 1020)),
         ("time (h) > 0.5", np.arange(N) > 30),
+        ("Gas (ppm) > 30", np.arange(N) > 30),
         ({"Formation": "shale"}, np.arange(N) % 2 == 1),
         ("Formation != shale", np.arange(N) % 2 == 0),
     ):
@@ -237,7 +241,25 @@ def test_conditions_choose_rows():
             "WOB (psi) < 3",
             'where WOB \\(psi\\) < 3: "3" does not suit weight_on_bit; write a number with a unit of N, kN',
         ),
+        ("WOB (kN) < 20 klbf", "the unit is kN and klbf; give one of them"),
+        ("WOB (kN) < 80,5", '"80,5" does not suit weight_on_bit'),
         ("Formation < 3", "texts are only compared by = or !="),
     ):
         with pytest.raises(InputError, match=line):
             read_log(table, where=where)
+
+
+@pytest.mark.parametrize(
+    ("cells", "expected"),
+    [
+        (["0", "-999.25", "NULL", "30"], [0, np.nan, np.nan, 30]),
+        (["-999.25", "10", "20", "30"], [np.nan, 0, 10, 20]),
+        (["0,5", "1,5", "", "3"], [0, 1, np.nan, 2.5]),
+        (["23:59:50", "null", "00:00:05", "00:00:06,0"], [0, np.nan, 15, np.nan]),
+        (["59:50", "59:55", "60:00", "60:05"], [np.nan] * 4),  # minutes and seconds, or hours and minutes
+        (["10:00", "10:01", "N/A", "10:03"], [0, 60, np.nan, 180]),
+    ],
+)
+def test_times_with_missing_values_are_seconds_since_the_first(cells, expected):
+    table = pd.DataFrame({"Time": cells, "WOB (kN)": ["100,5", "110,5", "120,5", "130,5"], "ROP (m/h)": 20})
+    np.testing.assert_array_equal(read_log(table).time, expected)

@@ -27,6 +27,7 @@ from vibrojax.progress import timed
 from vibrojax.studies import HOMES, WORDS
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
     from dataclasses import Field
 
     import xarray
@@ -344,15 +345,20 @@ def fit(options: Options) -> None:
 
     file, columns, by = Path(options.file), read_columns(given), options.by or []
     reading = {"where": options.where, "nulls": options.nulls}
-    with timed("fit"):
-        law = fit_rop(options.file, options.along, by, progress=False, columns=columns, **reading)
-    if (law["data_use"] == USES.index("censored")).any() and not (law["data_use"] == USES.index("fitted")).any():
-        lanes = counted(int((law["data_use"] > 0).sum()), "lane")
-        more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
-        raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
+
+    def fitted(_: Path) -> "AbstractContextManager[xarray.Dataset]":
+        with timed("fit"):
+            law = fit_rop(options.file, options.along, by, progress=False, columns=columns, **reading)
+        if (law["data_use"] == USES.index("censored")).any() and not (law["data_use"] == USES.index("fitted")).any():
+            lanes = counted(int((law["data_use"] > 0).sum()), "lane")
+            more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
+            raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
+        return nullcontext(law)
+
     identity = {"data": _digest(file), "along": options.along, "by": ", ".join(by), **_given(reading), "fit": True}
     identity |= {f"columns.{name}": text for name, text in columns.items()}
-    ds = result(options, f"{file.stem}-fit.nc", identity, lambda _: nullcontext(law), reused=False)
+    ds = result(options, f"{file.stem}-fit.nc", identity, fitted, reused=False)
+    law = ds.dataset
     facts = law_facts(law)
     sources = log_lines(law)
     lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
@@ -413,10 +419,12 @@ def rig(options: Options) -> None:
     file, columns = Path(options.file), read_columns(list(options.columns or []))
     reading = {"where": options.where, "nulls": options.nulls}
     units = options.units or "driller"
-    # First: wrong input is refused whatever the output holds.
-    computed = measures(file, columns, **reading, units=units)
     identity = {"rig": _digest(file), "units": units, **_given(reading), **columns}
-    result(options, f"{file.stem}-rig.nc", identity, lambda _: nullcontext(computed)).print(options)
+
+    def measured(_: Path) -> "AbstractContextManager[xarray.Dataset]":
+        return nullcontext(measures(file, columns, **reading, units=units))
+
+    result(options, f"{file.stem}-rig.nc", identity, measured).print(options)
 
 
 @command(

@@ -253,6 +253,9 @@ def _column(place: Place, name: str, header: str, index: int | None, unit: str |
     if unit is None:
         return Column(header, index, UNITS[si][0], 1.0, assumed=si != "1")
     scale = factor(unit, si)
+    if scale is None and name == RATE and factor(unit, "s m-1") is not None:
+        right = "/".join(unit.split("/")[::-1])
+        raise place.error(f"{shown(unit)} is a time per length; give the rate 1/x, in {right}")
     if scale is None:
         # A valid unit of another kind of quantity is no typing error: list all units instead of the most similar one.
         right = f"choose from {', '.join(UNITS[si])}" if is_unit(unit) else suggestion(unit, UNITS[si])

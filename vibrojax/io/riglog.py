@@ -44,7 +44,7 @@ LIMITS = {RATE: 500 * 0.3048 / 3600, WEIGHT: 800e3, ROTATION_SPEED: 500 * RPM, "
 """Greatest values [SI] within reason: 500 ft/h, 180 klbf, 500 rpm. Connections, slips and faults leave larger ones."""
 
 _DAY = 86400.0
-_CLOCK = r"\d{1,2}:\d\d(:\d\d(\.\d*)?)?"
+_CLOCK = r"\d{1,2}:\d\d:\d\d(\.\d*)?|([01]?\d|2[0-3]):\d\d"  # two numbers above 23:59 are minutes and seconds
 
 Source: TypeAlias = str | PathLike[str] | pd.DataFrame
 Where: TypeAlias = str | Sequence[str] | Mapping[str, object] | None
@@ -105,14 +105,18 @@ def read_log(
     missing = NULLS | cells.attrs["nulls"] | {str(null).strip().casefold() for null in nulls or ()}
     own = {column.index: key for key, column in chosen.items() if column.index is not None}
     is_needed = {key: key in needed or key in columns for key in chosen}
-    text = {key: cells.iloc[:, k] for k, key in own.items()}
+    text = {key: cells.iloc[:, k].fillna("").str.strip() for k, key in own.items()}
+    text = {key: column.mask(column.str.casefold().isin(missing), "") for key, column in text.items()}
     mark = tables.decimal_mark(text[key] for key in text if is_needed[key]) or tables.decimal_mark(text.values())
     notes += ["commas are decimal marks"] * (mark == ",")
     table = {key: np.full(len(cells), (column.value or 0.0) / column.factor) for key, column in chosen.items()}
     table[LINE], faults = lines, list[tuple[int, str, str]]()
     for index, cell in enumerate(header):
-        column, key = cells.iloc[:, index].fillna("").str.strip(), own.get(index)
-        numbers, wrong = _times(header, chosen[key], cells) if key == TIME else tables.to_numbers(column, mark, missing)
+        key = own.get(index)
+        column = text[key] if key else cells.iloc[:, index].fillna("").str.strip()
+        numbers, wrong = tables.to_numbers(column, mark, missing)
+        if key == TIME:
+            numbers, wrong = _times(header, chosen[key], cells, column, numbers, wrong)
         bad = column[wrong]
         if key is None:
             if cell not in ("", "row", *table):
@@ -199,7 +203,7 @@ def _to_si(
             faults.append(fault)
             words.append(word)
         else:
-            notes.append(f"{fault} is far outside what rigs have and left out: no unit is given; likely {word}")
+            notes.append(f"{fault} is far outside what rigs have and left out, as no unit is given (likely {word})")
             del table[key], chosen[key]
     if faults:
         fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(faults)}"
@@ -208,18 +212,20 @@ def _to_si(
     return unusual
 
 
-def _times(header: list[str], column: Column, rows: pd.DataFrame) -> tuple[Rows, Mask]:
+def _times(
+    header: list[str], about: Column, rows: pd.DataFrame, cells: pd.Series, numbers: Rows, wrong: Mask
+) -> tuple[Rows, Mask]:
     """Return the times since the first row in the column's unit, and where a cell is not a time.
 
-    Cells hold numbers, dates with times, times of the day that may pass midnight, or days and times in two columns.
+    The `cells` hold `numbers` (except where `wrong`), dates with times, times of the day that may pass midnight, or
+    times beside a column of days in `rows`.
     """
-    cells = rows.iloc[:, column.index or 0].fillna("").str.strip()
     date = next(
-        (k for k, cell in enumerate(header) if known.recognise(cell)[0] == known.DATE and k != column.index), None
+        (k for k, cell in enumerate(header) if known.recognise(cell)[0] == known.DATE and k != about.index), None
     )
-    empty, scale = (cells == "").to_numpy(), column.factor
-    if date is None and all(tables.is_number(cell) or not cell for cell in cells):
-        values, scale = pd.to_numeric(cells).to_numpy(float), 1.0
+    empty, scale = (cells == "").to_numpy(), about.factor
+    if date is None and not wrong.any():
+        values, scale = numbers, 1.0
     elif date is None and cells[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
         clock = cells.where(cells.str.fullmatch(_CLOCK)).where(cells.str.count(":") != 1, cells + ":00")
         values = pd.to_timedelta(clock, errors="coerce").dt.total_seconds().to_numpy(float, copy=True)
@@ -291,21 +297,26 @@ def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mappi
         known.normalised(text): name for name, cell in headers.items() for text in (cell, known.split_unit(cell)[0])
     }
     key = names.get(known.normalised(condition.name), known.recognise(condition.name)[0])
+    if key not in chosen and condition.unit:  # of another column, the unit is a part of its name
+        key = names.get(known.normalised(f"{condition.name} {condition.unit}"))
     if key is None or key not in data:
         hint = suggestion(condition.name, [*headers, *headers.values(), *map(str, data)])
         raise here.error(f"the file has no column {shown(condition.name)}; {hint}")
     number = known.NUMBER.fullmatch(condition.value)
     if key in chosen:
-        unit = condition.unit or (number[2] if number else None)
-        scale = factor(unit, KNOWN[key].unit) if unit else chosen[key].factor
-        if number is None or scale is None:
-            units = ", ".join(UNITS[KNOWN[key].unit])
-            raise here.error(f"{shown(condition.value)} does not suit {key}; write a number with a unit of {units}")
+        units = [unit for unit in (condition.unit, number[2] if number else None) if unit]
+        scales = {factor(unit, KNOWN[key].unit) for unit in units} or {chosen[key].factor}
+        scale = scales.pop()
+        if number is None or scale is None or None in scales:
+            right = ", ".join(UNITS[KNOWN[key].unit])
+            raise here.error(f"{shown(condition.value)} does not suit {key}; write a number with a unit of {right}")
+        if scales:
+            raise here.error(f"the unit is {' and '.join(units)}; give one of them")
         return key, condition.holds(data[key], float(number[1]) * scale)
     if number is not None and not number[2] and data[key].dtype.kind in "fi":
         return key, condition.holds(data[key], float(number[1]))
     if condition.operator not in ("=", "==", "!="):
-        raise here.error("texts are only compared by = or !=")
+        raise here.error(f"{shown(condition.value)}: texts are only compared by = or !=")
     return key, (data[key].astype(str) == condition.value).to_numpy(bool) ^ (condition.operator == "!=")
 
 

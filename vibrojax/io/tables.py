@@ -221,8 +221,11 @@ def _below_names(place: Place, table: Frame) -> tuple[Frame, list[str]]:
     """
     head = table.iloc[:_HEAD].fillna("").map(str.strip)
     numbers = head.map(lambda cell: bool(cell) and is_number(cell.replace(",", "."))).sum(axis=1).to_numpy()
+    if len(head) > 1 and not numbers.any():
+        fault = f"no numbers in the first {len(head)} lines; commas, semicolons or tabs between the columns are needed"
+        raise place.error(fault)
     typical = float(np.median(numbers[numbers > 0])) if numbers.any() else np.inf
-    above = int(np.argmax(numbers >= typical / 2)) if numbers.any() else min(len(head), 2)
+    above = int(np.argmax(numbers >= typical / 2)) if numbers.any() else 1
     texts = head.iloc[:above].to_numpy().tolist()
     if not texts:
         first = shown(", ".join(filter(None, head.iloc[0])))

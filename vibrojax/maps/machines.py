@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown
-from vibrojax.lazy import jax
 from vibrojax.maps.read import check_run, completed, read_parameters, read_start
 from vibrojax.maps.starts import list_of
 from vibrojax.maps.sweep import Sweep
@@ -82,21 +81,18 @@ def read_machines(
     return Machines(place, sweep, several)
 
 
-def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, list[Any]], dict[str, object]]:
-    """Split parameters into those with several values, returned as lists, and those with a single value."""
-    several = {
-        name: list(x)
-        for name, x in parameters.items()
-        if isinstance(x, (list, tuple)) or (isinstance(x, (np.ndarray, jax.Array)) and x.ndim > 0)
-    }
+def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, Any], dict[str, object]]:
+    """Split parameters into those with several values, a sequence or an array of any library, and the others."""
+    several = {name: x for name, x in parameters.items() if isinstance(x, (list, tuple)) or getattr(x, "ndim", 0) > 0}
     return several, {name: x for name, x in parameters.items() if name not in several}
 
 
-def _read_columns(place: Place, names: Names, lists: Mapping[str, list[Any]]) -> dict[str, np.ndarray]:
+def _read_columns(place: Place, names: Names, lists: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Return the validated values in which machines differ, each (machines,)."""
     columns = {}
-    for name, values in lists.items():
+    for name, values in plain_table(place, lists, lambda: names.units).items():
         here = place.at(name)
+        assert isinstance(values, list)
         if name in names.options:
             raise here.error(f"{shown(values)} is a list; it is chosen once for all")
         if not values:

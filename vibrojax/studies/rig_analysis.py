@@ -127,7 +127,8 @@ def rig(
             hint = ', which columns may give, like bit_diameter="8.5 in"' * ("bit_diameter" in missing)
             notes.append(f"{name} is not known: the log has no {' and no '.join(missing)}{hint}")
         elif name == "torque_stick_slip" and not np.isfinite(values[name]).any():
-            notes.append(f"{name} is not known: rows are more than {SLOWEST_SAMPLING:g} s apart")
+            fault = f"rows in order of time, at most {SLOWEST_SAMPLING:g} s apart, and a torque above 0 are needed"
+            notes.append(f"{name} is not known: {fault}")
     measures: dict[str, Any] = {name: ("row", value) for name, value in values.items()}
     measures |= {name: ((), value) for name, value in founder_point(weight, rate).items()}
     own, log = Rigs().dataset(measures, {}, title=table.attrs["title"]), to_dataset(table)
@@ -154,7 +155,7 @@ def founder_point(weight: Rows, rate: Rows) -> dict[str, float]:
 def torque_stick_slip(time: Rows, torque: Rows) -> Rows:
     """Return (Tmax - Tmin)/(2 Tmean) over `WINDOW` around each row; NaN where rows are too far apart."""
     result = np.full(len(time), np.nan)
-    if len(time) < 2 or not np.isfinite(time).all():
+    if len(time) < 2 or not (np.diff(time) >= 0).all():
         return result
     begins = np.searchsorted(time, time - WINDOW / 2)
     ends = np.searchsorted(time, time + WINDOW / 2, side="right")

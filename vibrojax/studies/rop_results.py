@@ -161,6 +161,8 @@ def recommended(fit: xr.Dataset, group: pd.DataFrame) -> dict[str, Any] | None:
     values = group.loc[form]
     if values["standing"] not in _KEPT or values["reason"] != "identified" or values["C"] <= 0:
         return None
+    if form in SAME_AS_ONSET and standing["constant"] in ("chosen", "undecided"):
+        return None  # the rate does not depend on the force: C of such a form is a convention
     c, half = float(values["C"]), float(stdtrit(values["degrees_of_freedom"], 0.975) * values["C_stderr"])
     interval = {"C": c, "low": c - half, "high": c + half}
     unit = str(table_of(fit, "columns").get(RATE, {}).get("unit", "m/s"))
@@ -331,7 +333,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
     axes = Axis(text * is_last), Axis(with_unit("rate of penetration", unit) * (place[1] == 0), zero="no penetration")
     if not seen.any():
         return Plot(layers, *axes, title, place, at(group))
-    low, high, founder = relief[seen].min(), relief[seen].max(), float(group["founder_weight"]) / (1e3 * across)
+    low, high, founder = relief[seen].min(), relief[seen].max(), float(group["founder_weight"]) / threshold
     end = founder if founder < high else high
     eta = np.linspace(low, end, _CURVE_POINTS)
     for form in FORMS:
@@ -347,7 +349,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
         error = curve * float(of["C_stderr"]) / values[0]  # every form is proportional to its C
         layers.append(Area(across * eta, curve - error, curve + error, form_colour(form.name), 0.15))
         if end < high:
-            fall = scale_of_rate * float(group["founder_fall"]) * 1e3 * across * (high - end)
+            fall = scale_of_rate * float(group["founder_fall"]) * threshold * (high - end)
             layers.append(Line([across * end, across * high], [curve[-1], curve[-1] - fall], **look))
         if int(of["standing"]) == Standing.CHOSEN and not (group["standing"] == Standing.UNDECIDED).any():
             c, half = (scale_of_rate * float(of[part]) for part in ("C", "C_stderr"))
