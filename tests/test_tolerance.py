@@ -46,6 +46,15 @@ def test_lanes_agree_with_single_machines(box):
             assert lane == pytest.approx(float(alone[name].item()), rel=1e-9), name
 
 
+def test_tolerances_are_pairs_of_any_library(box):
+    """Pairs that state a unit are converted to SI."""
+    stated = xr.DataArray([5.0, 1.0], dims="end", attrs={"units": "mm"})
+    for pairs in ({"delta": stated}, {"gamma": np.array([0.75, 0.01]), "delta": (np.float64(0.005), 0.001)}):
+        xr.testing.assert_allclose(vj.tolerance("vibro-impact", **MACHINE | pairs, run=RUN, progress=False), box)
+    with pytest.raises(vj.InputError, match='delta: is in "s"; a unit of m is needed'):
+        vj.tolerance("vibro-impact", **MACHINE | {"delta": stated.assign_attrs(units="s")}, run=RUN, progress=False)
+
+
 def test_extremes_and_shares(box):
     for name in (name for name in QUANTITIES if name in box):
         lane = box[name].isel(start=0)

@@ -18,18 +18,20 @@ from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable, described
 from vibrojax.maps.bounds import MAX_TOLERANCES, corners, draws
 from vibrojax.maps.dataset import attributes, certified
+from vibrojax.maps.machines import several_and_single
 from vibrojax.maps.read import read_point, read_sweep
 from vibrojax.maps.rerun import sweep_of_dataset
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
-from vibrojax.physics.arrays import check_untraced
 from vibrojax.pictures.axes import axis, margins, pretty_unit, quantity_text, scale, value_text, values_along
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_keys
 from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
 from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
+from vibrojax.settings.names import read_names
+from vibrojax.settings.toml import plain_table
 from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
 from vibrojax.studies.subjects import MachineAnalysis
 
@@ -304,7 +306,7 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
     ) -> ToleranceBox:
         """Return the checked box: parameters with a tolerance are pairs of the nominal value and the half-width."""
-        pairs = {name: x for name, x in parameters.items() if isinstance(x, (tuple, list))}
+        pairs, fixed = several_and_single(parameters)
         if not pairs:
             raise place.error(
                 "no parameter has a tolerance; give one as delta=(0.005, 0.001), on the command line as "
@@ -312,14 +314,13 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
             )
         if len(pairs) > MAX_TOLERANCES:
             raise place.error(f"{len(pairs)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
+        names = read_names(place.at("scene"), scene, fixed, place)
+        pairs = plain_table(place, pairs, lambda: names.units)
         for name, pair in pairs.items():
-            for x in pair:
-                check_untraced(place.at(name).error, x)
             numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair)
             if len(pair) != 2 or not numbers or not (np.isfinite(pair[1]) and pair[1] > 0):
                 raise place.at(name).error(f"{shown(pair)} is not a nominal value and a half-width above zero")
         nominal, half_widths = ({name: float(pair[k]) for name, pair in pairs.items()} for k in (0, 1))
-        fixed = {name: x for name, x in parameters.items() if name not in pairs}
         for end in (-1.0, 1.0):  # errors name the parameter, not a row of the points
             read_point(place, scene, fixed | {name: x + end * half_widths[name] for name, x in nominal.items()})
         tables: dict[str, Any] = {"scene": scene, "title": "Behaviour over the tolerances", "parameters": fixed}
@@ -440,7 +441,7 @@ def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object],
         where = {word: int(lane[f"{name}_{word}_sample"]) for word in _WORDS}
         factor, unit = scale(ds[f"{name}_most"])
         low, high, middle = (f"{x * factor:.4g}" for x in (*ends.values(), float(lane[name][0])))
-        worst = "most" if name == "peak_impact_force" else "least"
+        worst = "most" if name in ("peak_impact_force", "specific_energy") else "least"
         known = int(lane[name].notnull().values[drawn].sum())
         text = f"{name.replace('_', ' ')} {low} to {high} {pretty_unit(unit)}, nominal {middle}; "
         text += f"{worst} at {place_text(where[worst])}"
