@@ -51,6 +51,7 @@ def refused(data, *arguments, **named) -> str:
         (sweep().drop_vars("relief"), {}, "fit_rop: relief: missing; a sweep of a scene with rock has it, this holds"),
         (sweep(), {"along": "frequncy"}, 'along: "frequncy" is not an axis of the data; did you mean "frequency"?'),
         (sweep().isel(force=0, frequency=0), {}, "along: there is one lane only; a law needs an axis of several"),
+        (sweep(), {"where": "force > 250 kN"}, "fit_rop: `where` is for a rig log; select lanes of a dataset by"),
         (3, {}, "fit_rop: 3 is not data; give a dataset or a path"),
     ],
 )

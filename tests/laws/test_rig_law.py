@@ -95,6 +95,9 @@ def test_founder_is_told_by_formation():
     assert text.count("above it the rate falls by") == 2 and "left out, rate far from the law" in text
     panel = sheet_of(fit).plots[0]
     assert [layer.x[0] for layer in panel.layers if layer.label == "founder weight"] == pytest.approx([160], rel=0.05)
+    # With thresholds that differ within a group, the axis is the relief, on which a weight [N] has no place.
+    varying = fit.assign(data_threshold=np.nan * fit.data_threshold, founder_weight=0 * fit.founder_weight + 1e3)
+    assert not any(layer.label == "founder weight" for layer in sheet_of(varying).plots[0].layers)
 
 
 @pytest.mark.parametrize("exponent", [None, 0.5, 1.0])

@@ -233,6 +233,9 @@ def _read(data: Data, columns: Columns, where: Where, nulls: Nulls) -> tuple[Pla
         raise place.error(f"{fault}; give a sweep's dataset or a rig log (also .txt, .xml, .xlsx)")
     if columns:
         raise place.error("has its names and units already; `columns` is for a CSV")
+    if where or nulls:
+        fault = f"`{'where' if where else 'nulls'}` is for a rig log; select lanes of a dataset by its method sel"
+        raise place.error(fault)
     from vibrojax.io.dataset import open_dataset
 
     return place, data if isinstance(data, xr.Dataset) else open_dataset(Path(data))
