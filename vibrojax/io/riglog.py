@@ -74,7 +74,8 @@ def read_log(
       as missing.
     - `nulls`: further texts or numbers that mark a missing value, in addition to -999.25, NULL, N/A, - and similar
       ones.
-    - `needed`: quantities for which a bad cell or an unlikely unit is an error; for other quantities, a note is made.
+    - `needed`: quantities for which a bad cell or an unlikely unit is an error; for other quantities, `notes` lists
+      such faults.
 
     **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`
     [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and

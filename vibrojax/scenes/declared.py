@@ -103,7 +103,7 @@ class Swing(NamedTuple):
     """Names of an oscillating state, of its rate of change, and of the dataset variable for its amplitude.
 
     The amplitude is half the peak-to-peak range of the state `position`. If a marker and a swing name the same
-    `velocity`, steps end at the turning points of the swing's position. If the section has a state `at`, the first
+    `velocity`, steps end at the turning points of the swing's position. If the section has the field `at`, the first
     swing may have the velocity None.
 
     **Example:**

@@ -44,7 +44,7 @@ class Scene(ABC, Generic[C]):
     - `section`: the Poincaré section; None if quantities are measured over the pulses of a prescribed force.
     - `starts`: names of the initial conditions, the default first.
     - `start_states`: the states that a vector of initial conditions specifies, in order; all other states begin at
-      zero. For a scene with a single initial condition, `start_states` is empty.
+      zero.
     - `measures`: the gauges (groups of measured quantities) of the scene, as objects or names.
     - `choices`: for each option that users specify by name, a registry of values by name. An option that is a field of
       the dataclass, such as `friction`, takes the registry's value. The value of an option that is not a field, such as

@@ -102,10 +102,10 @@ class Analysis(Settings):
     """
 
     kind: ClassVar[str] = ""
-    """The attribute `kind` of the datasets, and the name of the command."""
+    """Value of the attribute `kind` of the analysis's datasets, and name of the command."""
 
     command: ClassVar[str] = ""
-    """Name of the command, if it differs from the kind."""
+    """Name of the command, if it differs from `kind`."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
     """A dict of the variables that the analysis adds to its datasets, with unit, meaning, type and flags."""
@@ -136,7 +136,7 @@ class Analysis(Settings):
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
         """Draw a dataset of this kind; `over`: datasets that are drawn on top.
 
-        **Raises:** `InputError` if the dataset holds nothing to draw, or if overlays are given for a picture without
+        **Raises:** `InputError` if the dataset holds nothing to draw, or if `over` is given and the picture accepts no
         overlays.
         """
         from vibrojax.pictures.draw import draw

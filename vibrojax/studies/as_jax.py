@@ -304,8 +304,8 @@ def as_jax(
 
     The returned function is valid at points that `simulate` accepts and at which the orbit exists, is stable, and keeps
     its numbers of section crossings and impacts. At a point that is not valid, the function returns the values of the
-    last valid orbit on the straight line to the point. An orbit that becomes unstable is continued, and its `margin` is
-    then positive, so that stability can be a smooth constraint.
+    last valid orbit on the straight line from the first point. An orbit that becomes unstable is continued, and its
+    `margin` is then positive, so that stability can be a smooth constraint.
 
     Orbits are computed in float64 for any type of the argument. Results have the type of the argument, at least
     float32.

@@ -117,8 +117,7 @@ def attractors(
       orbit in returns (0 without an orbit). Where the attractor does not exist, `share`, `regime` and `cycles` are 0.
       `period`, `impacts` and `impact_velocity` are medians over the lanes; for irregular lanes, the values come from a
       longer observation. `impact_power`, `stick_slip_index` and `specific_energy` are medians from the sweep's
-      observation; `blow_frequency` follows from `impacts` and `period`. `orbit_x1` and so on are one point of the orbit
-      on the section.
+      observation. `orbit_x1` and so on are one point of the orbit on the section.
     - Variable over the grid, `unassigned`: number of initial conditions without an attractor, because the lane failed,
       was undecided, had not settled or did not converge, or because no orbit was found.
     - Variable over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.

@@ -78,8 +78,8 @@ def borders(
       its simulation. The flag `continued` is 1 if the curve was continued from the point `seed_NAME`, and 0 if not. The
       text `curve_note` states why the curve ends, or why it was not continued. The attribute `begun_from` describes the
       grid of the sweep.
-    - Variables along `crossing`, if the argument `at` is given: `crossing_curve`, and `crossing_NAME` for both
-      parameters.
+    - Variables along `crossing`, if the argument `at` is given: `crossing_curve` (number of the curve), and
+      `crossing_NAME` (value of each parameter).
     - Variables along `region`: `region_area`, the fraction of the plane with a stable single impact, with the
       coordinates `region_start` and so on. Variable along `region` and `cell`: `region_stable` is 1 at grid points with
       a stable single impact; `cell_NAME` are the two parameters of a grid point.

@@ -124,7 +124,7 @@ def save_picture(
     - `ds`, `variable`, `where`, `colours`, `over`, `diagram`, `width`: as for [vibrojax.studies.choose.picture][].
     - `path`: file name that ends in .png, .pdf or .svg.
 
-    **Returns:** a description of the values that are drawn, or "" if all values are drawn.
+    **Returns:** a text that states which values are drawn, or "" if all are.
 
     **Raises:** `InputError` if `path` has another extension or cannot be written, or if `picture` raises it.
 

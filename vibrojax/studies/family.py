@@ -94,10 +94,10 @@ def follow(
       branch-point, end, or the name of a system's switch), `special_value` (value of the parameter), `special_branch`
       (number of the branch), and `special_note`.
 
-    At a *grazing* point, an impact or another event appears or vanishes, except the beginning or end of a stick phase.
-    If the event is not an impact, `special_note` names the discrete states whose events change their order. Multipliers
-    at a special point are computed on the side from which the point was reached, unless orbits exist only on the other
-    side.
+    At a *grazing* point, an impact or another event appears or vanishes; if a stick phase does, the point is a *stick*
+    point. If the event is not an impact, `special_note` names the discrete states whose events change their order.
+    Multipliers at a special point are computed on the side from which the point was reached, unless orbits exist only
+    on the other side.
 
     Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
     mirror image of an orbit counts as another orbit.

@@ -171,7 +171,7 @@ def smallest_push(
     **Arguments:**
 
     - `scene`: a scene with a drill, or its name; `parameters`: parameters of the scene (SI), as in `simulate`.
-      Sequences of equal length define several machines along the dimension `point`, which are computed in one batch.
+      Parameters that are sequences of equal length define several machines, along the dimension `point`.
     - `start`: initial condition of the motion that settles on the working cycle, by default the scene's first initial
       condition.
     - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). The default for a position is
