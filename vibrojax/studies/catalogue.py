@@ -22,7 +22,7 @@ from vibrojax.studies import glossary
 
 
 def list_scenes() -> "pd.DataFrame":
-    """Return a table of the scenes by name: description, states and named initial conditions.
+    """Return a table with the description, the states and the named initial conditions of each scene.
 
     **Example:**
 
@@ -42,12 +42,12 @@ def scene_rows() -> dict[str, dict[str, str]]:
 
 
 def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of a scene's parameters, including parameters of friction laws, and alternatives such as `rpm`.
+    """Return a table of a scene's parameters, including those of friction laws, and substitutes such as `rpm` for `v`.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. The
-    column `usual` is the range in the source and on drilling rigs; values far outside the usual range cause a warning.
-    The column `where` is the friction law or pulse shape to which the parameter belongs, and is empty if the scene
-    always has the parameter.
+    column `usual` is the range in Batako's thesis and on drilling rigs; values far outside the usual range cause a
+    warning. The column `where` is the friction law or pulse shape to which the parameter belongs, and is empty if the
+    scene always has the parameter.
 
     **Raises:** `InputError` if the scene does not exist.
 

@@ -115,16 +115,16 @@ def fit_rop(
     where: Where = None,
     nulls: Nulls = None,
 ) -> xr.Dataset:
-    """Fit six forms of the rate-of-penetration law to groups of lanes: three readings of eq. 6.4 and three others.
+    """Fit six forms of the rate-of-penetration law to groups of lanes.
 
-    A *form* is a formula for the rate of penetration as a function of the relief. A lane whose rate is zero is
-    censored: it contributes to the residuals only where a form predicts a positive rate. Lanes that failed, are
-    irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for noise of constant
-    size and for noise proportional to the rate.
+    A *form* is a formula for the rate of penetration as a function of the relief. Three forms are interpretations of
+    eq. 6.4 of Batako's thesis. A lane with zero rate of penetration is censored: it contributes to the residuals only
+    if the form predicts a positive rate. Lanes that failed, are irregular or have no usable values are left out and
+    counted. Standard errors (HC3) are valid for noise of constant size and for noise proportional to the rate.
 
-    A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate does not rise, the
-    forms are fitted to the rows below this weight. In logs of 50 rows or more, a jackknife over blocks of rows gives
-    the standard errors, and the cross-validation error `cv_error` compares the forms.
+    A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate of penetration does
+    not rise, the forms are fitted to the rows below this weight. In logs of 50 rows or more, a jackknife over blocks of
+    rows gives the standard errors, and the cross-validation error `cv_error` compares the forms.
 
     **Arguments:**
 
@@ -133,9 +133,9 @@ def fit_rop(
     - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Lanes with equal values on
       all other axes form a group.
     - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
-      `along` names a column, the default is all other columns except mean_force.
+      `along` names a column, `by` defaults to all other columns except mean_force.
     - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation
-      (default for a log). R² and AIC are computed from residuals without the loss function.
+      (default for a log).
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
       {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: the median
@@ -143,10 +143,10 @@ def fit_rop(
       force at the onset of penetration.
     - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset with the groups, `form` and `lane` as dimensions. The main variables of a fit are the
-    coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the comparison
-    of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute `verdict` is
-    the form that the data of all groups support, or "none".
+    **Returns:** a dataset with the dimensions `form`, `lane` and those of the groups. The main variables of a fit are
+    the coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the
+    comparison of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute
+    `verdict` is the form that the data of all groups support, or "none".
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 
