@@ -169,7 +169,7 @@ VARIABLES: dict[str, Variable] = {
     "reason": Variable("1", "reason why the lane failed or was refused", np.int8, REASONS),
     "rate_of_penetration": Variable("m s-1", "rate of penetration"),
     "mean_force": Variable("N", "mean force on the bit, P"),
-    "relief": Variable("1", "mean force over threshold, P/D"),
+    "relief": Variable("1", "mean force divided by the threshold, P/D"),
     "slip_per_impact": Variable("m", "growth of the hole's depth per impact (per pulse under a prescribed force)"),
     "specific_energy": Variable(
         "J m-3",

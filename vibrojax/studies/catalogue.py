@@ -96,7 +96,7 @@ def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
     **Example:**
 
     >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
-    ['1', 'mean force over threshold, P/D']
+    ['1', 'mean force divided by the threshold, P/D']
     """
     from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
     from vibrojax.lanes.labels import of_orbits, sweep_variables
