@@ -83,9 +83,10 @@ class Drilling(VibroImpact, OnRock):
 
 @dataclass(frozen=True)
 class CoupledDrilling(Drilling):
-    """The drilling scene in which the bit's normal motion acts back on the contact.
+    """The drilling scene in which motion of the bit normal to the rock changes the contact force.
 
-    The contact's compression is x2 - delta - (x3 - x4). The drive follows the hole, so the depth does not open the gap.
+    The contact's compression is x2 - delta - (x3 - x4). The drive follows the hole, so the depth does not open
+    the gap. This coupling is recommendation 1 of Batako's thesis.
     """
 
     name = "coupled-drilling"

@@ -166,8 +166,10 @@ STUDY_VARIABLES = {
     ),
     "mean": Variable("", "mean of the variable over the parameter box", dims=_OF),
     "std": Variable("", "standard deviation of the variable over the parameter box", dims=_OF),
-    "left_out": Variable("1", "number of base samples that the indices leave out", np.int32, dims=_OF),
-    "corners_left_out": Variable("1", "number of corners that the two-level design leaves out", np.int32, dims=_OF),
+    "left_out": Variable("1", "number of base samples that are not used for the Sobol indices", np.int32, dims=_OF),
+    "corners_left_out": Variable(
+        "1", "number of corners of the parameter box that are not used for effects and interactions", np.int32, dims=_OF
+    ),
     "set_to_zero": Variable(
         "1", "number of lanes without impacts, for which the variable is set to 0", np.int32, dims=_OF
     ),
