@@ -85,6 +85,8 @@ class Branch:
 
         The features of a point are the same bit for bit, whatever the other points are.
         """
+        if not len(x):
+            return self.unknown(0)
         with self._lock, np.errstate(all="ignore"):
             keys = [row.tobytes() for row in x]
             new = {key: row for key, row in zip(keys, x, strict=True) if np.isfinite(row).all()}

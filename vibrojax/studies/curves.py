@@ -322,10 +322,10 @@ def _orbit_at(spec: CurvesSpec, index: int) -> tuple[int, Float[np.ndarray, " st
             point = int(places(family, branch)[list(branch.special).index(index)])
             apart = abs(family[spec.along].values[point] - family["special_value"].values[index])
             if apart > SAME_VALUE * (spec.first_span[1] - spec.first_span[0]):
-                raise InputError(f"curves: special: the point of {index} is not in the family; give the whole family")
+                break
             names = map(orbit_name, spec.scene.driving_part().return_states)
             return int(family["cycles"].values[point]), np.array([float(family[name].values[point]) for name in names])
-    raise AssertionError(index)
+    raise InputError(f"curves: special: the point of {index} is not in the family; give the whole family")
 
 
 def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve]) -> xr.Dataset:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.errors import counted
+from vibrojax.errors import InputError, counted
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.maps.dataset import coordinates, shared_attributes
 from vibrojax.maps.read import read_sweep
@@ -258,7 +258,10 @@ class Designs(FileAnalysis[DesignSpec]):
         own: dict[str, Any] = {
             name: tables[name] for name in ("scene", "parameters", "starts", "run") if name in tables
         }
-        sweep = read_sweep({**own, "points": points, "unusual": True})
+        try:
+            sweep = read_sweep({**own, "points": points, "unusual": True})
+        except InputError:  # a system without a name
+            return None
         names = [name for name in ds.data_vars if ds[name].dims == ("candidate",)]
         lanes = ds[names].rename(candidate=POINT).assign_coords(coordinates(sweep, {}))
         return lanes.assign_attrs(shared_attributes(sweep, self.kind, str(ds.attrs.get("title", "")), self.kind)), sweep

@@ -405,7 +405,7 @@ class Pushes(MachineAnalysis[Machines]):
             values = [f"{name} = {machine[name].item():g}" for name in varied if machine[name].dtype.kind == "f"]
             lines += [f"{', '.join(values)}:"] if values else []
             regime = meanings[int(machine["regime"])]
-            if not float(machine["bound_x1"]) > 0:
+            if not float(machine[f"bound_{_pushed(machine)[0]}"]) > 0:
                 lines.append(f"no stable cycle ({regime})")
                 continue
             lines.append(f"working cycle: {regime}, {float(machine['period']):.5g} s")
