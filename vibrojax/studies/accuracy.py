@@ -102,7 +102,7 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     **Arguments:**
 
     - `scenes`: names of the scenes to measure; by default all scenes, or two scenes if `quick`.
-    - `quick`: True to run only a few settings and lanes, in some seconds, as a test of the installation.
+    - `quick`: True to run only a few settings and lanes, which takes a few seconds, as a test of the installation.
 
     **Returns:** a dataset along the dimension `setting`, with run times, errors, and reasons of failures. Each setting
     has the coordinates `scene`, `method`, `precision`, `varied` (name of the varied quantity) and `value` (value of

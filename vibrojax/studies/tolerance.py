@@ -254,7 +254,8 @@ def tolerance(
         box.impact_velocity_least  # m/s, the worst of the samples from each start
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
-    Each sample is simulated from every start. A search around the most extreme ones adds *refined* samples.
+    Each sample is simulated from every start. A search around the most extreme samples adds further samples, called
+    *refined*.
 
     **Arguments:**
 
