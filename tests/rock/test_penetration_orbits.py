@@ -69,3 +69,12 @@ def test_variables_of_orbits(orbits):
     assert "period" not in orbits and "cycles" not in orbits
     assert {"orbit_compression", "orbit_v3", "grazing_margin"} <= set(orbits.data_vars)
     assert {"multiplier_abs", "orbit_v3"} <= set(vj.list_variables("penetration").index)
+
+
+def test_margin_is_the_least_compression_whatever_the_rounding_errors():
+    """The next pulse turns the bit before it leaves the rock: its compression is least at the end of a step there."""
+    grid = {"threshold": (204.5e3 * (1 + 1e-4 * np.arange(9))).tolist()}
+    machine = {"k3": 45e6, "force": 500e3, "frequency": 20.0}
+    run = {"orbits": True, "settle": 4.0, "observe": 1.0}
+    ds = vj.run_sweep({"scene": "penetration", "parameters": machine, "grid": grid, "run": run}, progress=False)
+    np.testing.assert_allclose(ds.grazing_margin, ds.orbit_compression * machine["k3"] / ds.threshold, rtol=2e-5)

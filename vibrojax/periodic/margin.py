@@ -79,7 +79,8 @@ class Margin:
         scales = self.scene.typical_guard_values(self.c, step.mode, step.before)
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
-        turned = reduce(jnp.logical_or, [step.hits[name] for name in self._turns()], jnp.zeros_like(armed))
+        turns = [step.hits[marker.name] for marker in self.scene.markers]
+        turned = reduce(jnp.logical_or, turns, jnp.zeros_like(armed))
         at_switches, of_section = self._at_switches(lane, step), self._of_section(armed, step, pace)
         switches, others, reach = (
             [rows[0], *at_switches],
@@ -116,12 +117,6 @@ class Margin:
     def considered(self, guard: str, what: str, margin: Array) -> Array:
         """Return a margin of a guard, infinite where it does not count; `what`: hit, miss or switch."""
         return margin
-
-    def _turns(self) -> list[str]:
-        """Return the names of the markers of the section's oscillating positions, such as those of bit and striker."""
-        swings = self.section.swings if self.section is not None else ()
-        markers = {marker.velocity: marker.name for marker in self.scene.markers}
-        return [markers[swing.velocity] for swing in swings if swing.velocity in markers]
 
     def _of_section(self, armed: Flags, step: Step, pace: Lanes) -> list[Array]:
         section = self.section

@@ -307,16 +307,16 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         self, place: Place, scene: object, parameters: Mapping[str, object], start: object, run: Mapping[str, object]
     ) -> ToleranceBox:
         """Return the checked box: parameters with a tolerance are pairs of the nominal value and the half-width."""
-        pairs, fixed = several_and_single(parameters)
-        if not pairs:
+        given, fixed = several_and_single(parameters)
+        if not given:
             raise place.error(
                 "no parameter has a tolerance; give one as delta=(0.005, 0.001), on the command line as "
                 "delta=0.005+-0.001"
             )
-        if len(pairs) > MAX_TOLERANCES:
-            raise place.error(f"{len(pairs)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
+        if len(given) > MAX_TOLERANCES:
+            raise place.error(f"{len(given)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
         names = read_names(place.at("scene"), scene, fixed, place)
-        pairs = plain_table(place, pairs, lambda: names.units)
+        pairs: dict[str, Any] = plain_table(place, given, lambda: names.units)
         for name, pair in pairs.items():
             numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair)
             if len(pair) != 2 or not numbers or not (np.isfinite(pair[1]) and pair[1] > 0):
