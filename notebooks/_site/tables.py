@@ -67,7 +67,7 @@ SHARED = {
     r"orbit_([xv]\d|compression)": (
         "orbit_NAME",
         "as NAME",
-        "state variable NAME at which the orbit crosses the section",
+        "state variable NAME where the orbit crosses the section",
         "",
         "all",
     ),

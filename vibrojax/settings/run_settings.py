@@ -40,7 +40,7 @@ class RunSettings(Settings):
     )
     carry: str | None = setting(
         None,
-        "axis along which lanes run in order, up and then down; each starts in the final state of the previous lane",
+        "axis along which each lane starts in the final state of the previous lane, first upwards and then downwards",
         read=_read_carry,
         later=True,
     )

@@ -22,7 +22,7 @@ HOMES = {
 WORDS = {
     "lane": "one simulation of a sweep, with one set of parameter values and one start (initial condition)",
     "section": "the Poincaré section: the instant at which the bit becomes faster than the drive",
-    "return": "one crossing of the Poincaré section; the length of a cycle is counted in returns",
+    "return": "one crossing of the Poincaré section",
     "relief P/D": "mean force on the bit, divided by the force D (threshold) at which the rock yields",
     "regime": "the kind of motion of the striker, such as single-impact (one impact per period) or irregular",
     "orbit": "a motion that repeats exactly; it is stable if it attracts all neighbouring motions",

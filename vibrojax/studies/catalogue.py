@@ -67,7 +67,7 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
         where = f"given in place of {REPLACED[name]}{partner}"
         if name == "bit_radius" and isinstance(names.system, HasRock):
             parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
-            where = f"needed for specific_energy, or {where}"
+            where = f"needed for specific_energy; may also be {where}"
         groups.append((where, [parameter]))
     rows = [
         {

@@ -76,7 +76,7 @@ SCHEMA = {
     ),
     "evidence_against": Variable(
         "1",
-        "AIC (rig log: 2 n ln(cv_error)) minus its value for the best form; above 2 (rig log: 5.4), a form is rejected",
+        "AIC minus that of the best form; a form above 2 is rejected (rig log: AIC = 2 n ln(cv_error), limit 5.4)",
         along=_FORM,
     ),
     "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),
