@@ -274,8 +274,9 @@ REFUSED = [
     ({"data": {"v": [1.0, 1.5], "period": [0.2, np.inf]}}, "column period: has an infinite value"),
     (
         {"scene": "drilling", "data": {"v": [1.0, 1.5, 2.0], "rate_of_penetration": [1e-3, np.nan, -1e-3]}},
-        "rate_of_penetration: has 1 negative value, first in row 2, but no hole gets shallower; correct the cells, or",
+        "rate_of_penetration: has 1 negative value, first in row 2, where none is possible; correct the cells, or",
     ),
+    ({"data": {"v": [1.0, 1.5], "period": [-999.25, 0.2]}}, "column period: has 1 negative value, first in row 0"),
     ({}, "2 values for 2 unknown parameters and the size of the noise; add rows"),
     ({"history": {"data": {"time": [0.0, 1.0]}}}, "v1: missing; columns time [s] and v1 [m/s] are needed"),
     ({"history": {"data": {"time": [0.0, 2.0, 1.0], "v1": [0.0] * 3}}}, "time: does not rise from sample to sample"),

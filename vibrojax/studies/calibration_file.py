@@ -36,6 +36,12 @@ LAW = Parameter(
 MAX_OBSERVATIONS = 10_000
 """Largest number of rows. Each is an orbit that is solved at every step of the search."""
 
+NEVER_NEGATIVE = {RATE, "period", "impact_velocity", "impact_velocity_min", "impact_velocity_max", "impact_energy"} | {
+    "impact_power", "blow_frequency", "peak_impact_force", "mean_impact_force", "stick_fraction", "reverse_fraction",
+    "stick_slip_index", "bit_amplitude", "striker_amplitude", "mean_force", "relief",
+}  # fmt: skip
+"""Variables that cannot be negative: such a cell may be a mark of a missing value, like -999.25."""
+
 SPEED_BOUND = 10.0
 """Greatest speed at the first sample of a history, in units of its greatest speed, up to which a state is searched."""
 
@@ -183,9 +189,9 @@ def _read_rows(
         if np.isinf(x).any() or not np.isfinite(x).any():
             fault = "an infinite value" if np.isinf(x).any() else "no number"
             raise here.error(f"has {fault}; leave a cell empty where there is no observation")
-        if name == RATE and (negative := x < 0).any():
+        if name in NEVER_NEGATIVE and (negative := x < 0).any():
             first = f"{'line' if labels[0] else 'row'} {labels[int(np.argmax(negative))]}"  # rows of a table begin at 0
-            fault = f"has {counted(negative.sum(), 'negative value')}, first in {first}, but no hole gets shallower"
+            fault = f"has {counted(negative.sum(), 'negative value')}, first in {first}, where none is possible"
             raise here.error(f"{fault}; correct the cells, or leave them empty")
     if not observed:
         raise place.error(f"holds no observation; name a column after a variable, such as {', '.join(variables[:3])}")
