@@ -126,16 +126,39 @@ def test_graze_is_the_same_from_both_sides():
     assert steep == pytest.approx(smooth, rel=2e-9)
 
 
-@pytest.mark.parametrize("at", [0.85, 0.97])
-def test_branch_point_is_the_same_from_both_branches(at):
-    """At r = 0.8655 twins leave a symmetric orbit, and turn within 1e-3 of their swing.
+@pytest.mark.parametrize(
+    ("d", "at", "start", "value"),
+    [
+        (0.341, 0.85, [0.1, 0.3], 0.865514886644253),
+        (0.341, 0.97, [0.1, 0.3], 0.865514886644253),
+        (0.34, 0.66, [0.0, 0.0], 0.685333635132339),
+        (0.34, 0.69, [0.0, 0.0], 0.685333635132339),  # steps become short
+        (0.34, 0.74, [0.0, 0.0], 0.685333635132339),  # rounding errors lead past the point
+    ],
+)
+def test_branch_point_is_the_same_from_both_branches(d, at, start, value):
+    """At this restitution twins leave a symmetric orbit, at d = 0.341 within 1e-3 of their swing.
 
     The family begins on the symmetric orbit or on a twin. Its branches end at the bounds, the twins on one side.
     """
-    family = vj.follow(WALLS, along="r", at=at, span=(0.6, 0.99), start=[0.1, 0.3], d=0.341, cycles=1, progress=False)
+    bounds = {"span": (0.6, 0.99), "settle": 2000.0}
+    family = vj.follow(WALLS, along="r", at=at, start=start, d=d, cycles=1, progress=False, **bounds)
     [crossing] = np.concatenate([special_values(family, "branch-point", branch) for branch in (0, 1)])
     ends = [sorted(special_values(family, "end", branch)) for branch in (0, 1)]
-    assert crossing == pytest.approx(0.865514886644253, abs=1e-12) and sorted(ends) == [[0.6, 0.99], [0.99, 0.99]]
+    assert crossing == pytest.approx(value, abs=1e-12) and sorted(ends) == [[0.6, 0.99], [0.99, 0.99]]
+
+
+def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():
+    """A family that begins with one impact in two periods leads to a doubling in closed form, and does not go back."""
+    family = vj.follow(IMPACT_OSCILLATOR, along="r", at=0.7, span=(0.0, 1.0), a=0.5, progress=False, cycles=2)
+
+    def product(r):
+        return np.prod(1 + oscillator_orbits(0.5, r, **OSCILLATOR)[-1].multipliers).real
+
+    doubles = brentq(product, 0.6, 0.62, xtol=1e-15)
+    assert special_values(family, "period-doubling") == pytest.approx([doubles], abs=1e-10)
+    assert len(special_values(family, "fold")) == len(special_values(family, "grazing")) == 1
+    assert special_values(family, "end").tolist() == [1.0]
 
 
 def test_family_goes_on_where_an_impact_passes_the_section():

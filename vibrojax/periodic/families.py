@@ -12,7 +12,7 @@ import numpy as np
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.arclength import CLOSED, ENDED, STALLED, STOPPED, VANISHED, Stop
 from vibrojax.periodic.brackets import Brackets
-from vibrojax.periodic.branch_points import FamilyLocator, second_tangent
+from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator, branch_point_ahead, second_tangent
 from vibrojax.periodic.hopf import hopf_point
 from vibrojax.periodic.location import (
     GRAZED_MARGIN,
@@ -54,6 +54,9 @@ NEAR_HOPF = 1e-6
 
 STEEP_GRAZE = 1e3
 """Modulus of a multiplier from which on a graze counts as reached from the side of the impacts."""
+
+ENDS_AT_SHORTER = "the branch ends at the orbit of half its period"
+"""Note on a period doubling that a branch reaches from the side of the doubled orbit."""
 
 FREE_PHASE_REACH = 0.05
 """Scaled distance in the parameter and the period within which a branch without a section joins another one."""
@@ -108,7 +111,12 @@ class FamilyContinuation(Tracing):
     def finish(self, segments: list[Segment]) -> list[Segment]:
         """Enter special points and ends of segments; return the segments beyond stalls, and doubled branches."""
         stalled: list[Segment] = []
+        following: list[Segment] = []
         for segment in segments:
+            ahead = branch_point_ahead(self._problem, segment.points) if segment.origin is None else None
+            if ahead is not None:
+                following += self._pass_branch_point(segment, *ahead)
+                continue
             hopf = self.hopf(segment) if segment.status == VANISHED else None
             status, special, reached = segment.status, segment.special, segment.points
             note = ENDINGS.get(status, "")
@@ -123,7 +131,11 @@ class FamilyContinuation(Tracing):
                     last = int(special.place[rejoined].min()) + 1
                     status, note, segment.points = STOPPED, ENDINGS[STOPPED], segment.points.of(slice(0, last))
                     inside &= special.place < last - 1
-            self._add_marks(segment, special.of(inside))
+            repeats = inside & (special.kind == DOUBLING) & self._repeats(special.near)
+            if segment.departure is None and repeats.any():
+                self._end_at_shorter(segment, special.of(inside), special.of(repeats))
+                continue
+            self._add_marks(segment, special.of(inside & ~repeats))
             if status == STALLED and segment.number < MAX_SEGMENTS:
                 stalled.append(segment)
                 continue
@@ -136,8 +148,37 @@ class FamilyContinuation(Tracing):
                 is_last = abs(value - high) < abs(value - low)
                 note = f"the {'last' if is_last else 'first'} value is reached"
             segment.mark("end", note)
-        following = self._pass_stalls(stalled) if stalled else []
+        following += self._pass_stalls(stalled) if stalled else []
         return following + self._doubled_branches(segments) + self._crossing_branches(segments)
+
+    def _repeats(self, orbits: Points) -> Flags:
+        """Return a mask of the orbits that go round twice."""
+        own, half = (np.linalg.norm(x, axis=1) for x in (orbits.u, self._problem.halves(orbits)))
+        return np.asarray(half < SAME_HALVES * own)
+
+    def _pass_branch_point(self, segment: Segment, before: Points, crossing: Points) -> list[Segment]:
+        """End a segment at a branch point where its steps became short; return the segment behind it."""
+        place = len(before.u) - 1
+        special = segment.special.of(segment.special.place < place)
+        here = Brackets(np.array([DOUBLING]), np.array([place]), crossing, crossing)
+        if self._repeats(crossing)[0]:
+            self._end_at_shorter(segment, Brackets.join([special, here]), here)
+            return []
+        segment.points = Points.join([before, crossing])
+        self._add_marks(segment, special)
+        segment.mark("branch-point", "")
+        onward = segment.onward(crossing)
+        onward.crossing = invariants(self._problem, crossing)
+        return [onward]
+
+    def _end_at_shorter(self, segment: Segment, special: Brackets, doubles: Brackets) -> None:
+        """End a segment where the orbit of half its period doubles: behind it, only the halves are exchanged."""
+        first = int(doubles.place.argmin())
+        place = int(doubles.place[first])
+        segment.points = segment.points.of(slice(0, place + 1))
+        self._add_marks(segment, special.of(special.place < place))
+        orbit = self._problem.halved(doubles.near.of([first]))
+        segment.marks.append(Mark(orbit, "period-doubling", ENDS_AT_SHORTER, place))
 
     def hopf(self, segment: Segment) -> Points | None:
         """Return the Hopf point to which the end of a segment leads, or None."""
@@ -234,7 +275,8 @@ class FamilyContinuation(Tracing):
         doubled = []
         for segment in segments:
             for mark in segment.marks:
-                if mark.kind != "period-doubling" or 2 * mark.orbit.times.shape[1] > self._cycles:
+                again = mark.note == ENDS_AT_SHORTER  # that branch is the one which ends here
+                if mark.kind != "period-doubling" or again or 2 * mark.orbit.times.shape[1] > self._cycles:
                     continue
                 branch = self._branches[segment.family]
                 if branch >= MAX_BRANCHES:
