@@ -16,7 +16,6 @@ from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator
 from vibrojax.periodic.hopf import hopf_point
 from vibrojax.periodic.location import (
     GRAZED_MARGIN,
-    branch_distance,
     classify_event_changes,
     cross_impact,
     extrapolated_graze,
@@ -92,19 +91,19 @@ class FamilyContinuation(Tracing):
         return drop_duplicates(segments, self._problem)
 
     def stop(self, segments: list[Segment]) -> Stop:
-        """Return the condition that a doubled branch is back at the branch that it left."""
-        size = segments[0].begin.u.shape[1]
-        none = np.full(size, np.nan)
-        departure = np.array([none if segment.departure is None else segment.departure for segment in segments])
-        farthest = np.zeros(len(segments))
+        """Return the condition that a doubled branch is back at one that it left: the halves of its orbits exchange."""
+        doubled = np.array([segment.doubled for segment in segments])
+        halves = self._problem.halves(Points.join([segment.begin for segment in segments]))
+        farthest = np.linalg.norm(halves, axis=1)
 
         def rejoins(lanes: Index, now: Points) -> Flags:
-            if size % 2 == 0:  # doubled orbits have an even number of states and one parameter
-                return np.zeros(len(lanes), bool)
-            distance = branch_distance(now.u, departure[lanes])
+            own = self._problem.halves(now)
+            distance, turned = np.linalg.norm(own, axis=1), np.einsum("ij,ij->i", own, halves[lanes]) < 0
             farthest[lanes] = np.fmax(farthest[lanes], distance)
-            # On the original branch, rounding errors decide the sign of the distance.
-            return distance <= np.minimum(SAME_POINT, REJOIN_DISTANCE * farthest[lanes])
+            halves[lanes] = own
+            # On the original branch, rounding errors decide the sign.
+            near = distance <= np.minimum(SAME_POINT, REJOIN_DISTANCE * farthest[lanes])
+            return np.asarray(doubled[lanes] & (turned | near))
 
         return rejoins
 
@@ -125,14 +124,14 @@ class FamilyContinuation(Tracing):
                 beyond = float(np.abs(reached.u[-1] - segment.points.u[-1]).max())
                 segment.reach = max(segment.reach, beyond)
             inside = special.place < len(segment.points.u) - 1
-            if segment.departure is None and segment.origin is not None and len(segment.origin) == reached.u.shape[1]:
+            if not segment.doubled and segment.origin is not None and len(segment.origin) == reached.u.shape[1]:
                 rejoined = inside & (np.abs(special.near.u - segment.origin).max(axis=1) < REJOIN_DISTANCE)
                 if rejoined.any():
                     last = int(special.place[rejoined].min()) + 1
                     status, note, segment.points = STOPPED, ENDINGS[STOPPED], segment.points.of(slice(0, last))
                     inside &= special.place < last - 1
             repeats = inside & (special.kind == DOUBLING) & self._repeats(special.near)
-            if segment.departure is None and repeats.any():
+            if not segment.doubled and repeats.any():
                 self._end_at_shorter(segment, special.of(inside), special.of(repeats))
                 continue
             self._add_marks(segment, special.of(inside & ~repeats))
@@ -231,7 +230,7 @@ class FamilyContinuation(Tracing):
         turned, corners = turn_corner(problem, [segment.points for segment in segments])
         changed = corners.changes_events
         for k, segment in enumerate(segments):
-            end, departure = segment.points.of([-1]), segment.departure
+            end, doubled = segment.points.of([-1]), segment.doubled
             kinds: list[str] = []
             hopf = self.hopf(segment) if problem.at_section and not changed[k] else None
             if hopf is not None:
@@ -253,21 +252,21 @@ class FamilyContinuation(Tracing):
             if beyond is None and problem.at_section:
                 beyond = reindex_returns(problem, end)
             if beyond is None and not kinds:
-                distance = np.inf if departure is None else abs(branch_distance(end.u, departure[None])[0])
+                joined = doubled and np.linalg.norm(problem.halves(end)) < SAME_POINT
                 stalled = f"no {problem.noun} is found any further"
                 stalled += f"; grazing margin {end.margin[0]:.1e}" * problem.at_section
-                segment.mark("end", ENDINGS[STOPPED] if distance < SAME_POINT else stalled)
+                segment.mark("end", ENDINGS[STOPPED] if joined else stalled)
                 continue
             if beyond is None:
                 uncounted = "the motion goes on, its returns are not counted any more"
                 note = uncounted if kinds[0] == "section" else "the family ends here"
             elif not turned[k]:
-                kinds, departure, note = ["section"], None, f"{beyond.times.shape[1]} returns from here"
+                kinds, doubled, note = ["section"], False, f"{beyond.times.shape[1]} returns from here"
             for kind in kinds:
                 event, change = change_of(problem.scene, kind, corners.near.of([k]), corners.far.of([k]))
                 segment.mark(kind, note or change * (not problem.at_section), event)
             if beyond is not None:
-                following.append(segment.onward(beyond, departure))
+                following.append(segment.onward(beyond, doubled))
         return following
 
     def _doubled_branches(self, segments: list[Segment]) -> list[Segment]:
@@ -284,7 +283,7 @@ class FamilyContinuation(Tracing):
                 u, tangent = self._problem.doubled(mark.orbit)
                 begin = self._problem.evaluate(mark.orbit.family, u)._replace(tangent=tangent)
                 self._branches[segment.family] += 1
-                more = {"parent": segment, "departure": tangent[0], "origin": u[0]}
+                more: dict[str, Any] = {"parent": segment, "doubled": True, "origin": u[0]}
                 doubled.append(Segment(segment.family, branch, 1, begin, **more))
         return doubled
 
@@ -414,7 +413,7 @@ def drop_duplicates(segments: list[Segment], problem: Problem) -> list[Segment]:
 
 def _from_other_ends(segments: list[Segment], rows: int) -> set[tuple[int, int]]:
     """Return the doubled branches, as (family, branch), that retrace another branch in the opposite direction."""
-    begins = {(s.family, s.branch): s.begin.u[0] for s in segments if s.departure is not None and s.number == 0}
+    begins = {(s.family, s.branch): s.begin.u[0] for s in segments if s.doubled and s.number == 0}
     ends = {
         (segment.family, segment.branch): (mark.orbit.u[0], segment.reach)
         for segment in segments

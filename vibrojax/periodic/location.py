@@ -349,9 +349,3 @@ def cross_impact(problem: Problem, last: Points) -> Points | None:
             if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
                 return now.along(towards(guess, sign))
     return None
-
-
-def branch_distance(u: Unknowns, departure: Unknowns) -> PerLane:
-    """Return the signed distance of doubled branches from the original branch, along the direction `departure`."""
-    half = (u.shape[1] - 1) // 2
-    return np.einsum("ij,ij->i", u[:, :half] - u[:, half : 2 * half], departure[:, :half])
