@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.optimize import brentq, fsolve
 from systems import (
     BALL,
@@ -10,6 +11,8 @@ from systems import (
     ball_appears,
     ball_doubles,
     ball_orbit,
+    cos,
+    mass,
     oscillator_doubles,
     oscillator_grazes,
     oscillator_orbits,
@@ -146,6 +149,33 @@ def test_branch_point_is_the_same_from_both_branches(d, at, start, value):
     [crossing] = np.concatenate([special_values(family, "branch-point", branch) for branch in (0, 1)])
     ends = [sorted(special_values(family, "end", branch)) for branch in (0, 1)]
     assert crossing == pytest.approx(value, abs=1e-12) and sorted(ends) == [[0.6, 0.99], [0.99, 0.99]]
+
+
+def test_branches_pass_and_join_at_a_graze_against_friction():
+    """Friction turns the mass where it grazes, so that two events coincide. The amplitude there is known.
+
+    From the greatest to the least position, the distance from the forced oscillation and from the equilibrium under
+    friction obeys the flow of the free oscillation (Den Hartog, Transactions of the ASME 53 (1931), 107). The branch of
+    one impact in two periods joins the motion without impact there.
+    """
+    w, damping, stop, grip = 0.9, 0.1, 0.6, 0.2
+    events = [
+        vj.Impact("wall", gap=lambda t, y, p: stop - y["x"], velocity="v", restitution=0.7),
+        vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: grip, 1.0, "v"),
+    ]
+    shaken = mass(
+        lambda t, y, p: p["a"] * cos(w * t) - damping * y["v"] - y["x"],
+        *events,
+        parameters={"a": 1.0},
+        period=2 * np.pi / w,
+    )
+    half = expm(np.array([[0.0, 1.0], [-1.0, -damping]]) * np.pi / w)
+    off = np.linalg.solve(np.eye(2) + half, (half - np.eye(2)) @ [grip, 0.0])
+    graze = np.hypot(stop - off[0], off[1] / w) * abs(complex(1 - w**2, damping * w))
+    family = vj.follow(shaken, along="a", at=1.0, span=(0.25, 2.0), cycles=2, progress=False)
+    assert special_values(family, "grazing") == pytest.approx([graze], abs=1e-8)
+    assert special_values(family, "grazing", branch=1)[-1] == pytest.approx(graze, abs=1e-8)
+    assert special_values(family, "end").tolist() == [0.25, 2.0] and not len(special_values(family, "end", branch=1))
 
 
 def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():

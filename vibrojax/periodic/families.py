@@ -84,10 +84,10 @@ class FamilyContinuation(Tracing):
                 begin = first._replace(tangent=sign * first.tangent)
                 segments.append(Segment(number, 0, sign, begin, home=begin))
         segments = self.trace(segments)
-        self._end_at_doublings(segments)
         for branch in {(segment.family, segment.branch) for segment in segments}:
             own = [segment for segment in segments if (segment.family, segment.branch) == branch]
             _refine_grazes(self._problem, own)
+        self._end_where_joined(segments)
         return drop_duplicates(segments, self._problem)
 
     def stop(self, segments: list[Segment]) -> Stop:
@@ -187,28 +187,32 @@ class FamilyContinuation(Tracing):
         """Return why a segment ends at its last point, at which the condition of `stop` holds."""
         return ENDINGS[STOPPED]
 
-    def _end_at_doublings(self, segments: list[Segment]) -> None:
-        """Move the ends of doubled branches that join another branch to the period doublings at which they join it.
+    def _end_where_joined(self, segments: list[Segment]) -> None:
+        """Move the ends of doubled branches to the period doublings, or else grazes, at which they join another branch.
 
         The last step of a doubled branch passes the doubling by a distance that depends on rounding errors.
         """
-        doublings = [(s.family, mark.orbit) for s in segments for mark in s.marks if mark.kind == "period-doubling"]
         for segment in segments:
-            last, cycles = segment.points.of([-1]), segment.points.times.shape[1]
-            orbits = [x for family, x in doublings if family == segment.family and 2 * x.times.shape[1] == cycles]
-            if not orbits or all(mark.note != ENDINGS[STOPPED] for mark in segment.marks):
+            if all(mark.note != ENDINGS[STOPPED] for mark in segment.marks):
                 continue
-            shifted = [
-                np.append(np.tile(np.roll(orbit.u[0, :-1], k * self._problem.rows), 2), orbit.u[0, -1])
-                for orbit in orbits
-                for k in range(cycles // 2)
-            ]
-            nearest = min(shifted, key=lambda u: float(np.abs(u - last.u).max()))
-            if np.abs(nearest - last.u).max() <= segment.reach:
-                end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
-                segment.points = Points.join([segment.points, end])
-                segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
-                segment.mark("end", ENDINGS[STOPPED])
+            last, cycles = segment.points.of([-1]), segment.points.times.shape[1]
+            marks = [mark for other in segments if other.family == segment.family for mark in other.marks]
+            for kind, name in (("period-doubling", "end"), ("grazing", "grazing")):
+                shifted = [
+                    np.append(np.tile(np.roll(m.orbit.u[0, :-1], k * self._problem.rows), 2), m.orbit.u[0, -1])
+                    for m in marks
+                    if m.kind == kind and 2 * m.orbit.times.shape[1] == cycles
+                    for k in range(cycles // 2)
+                ]
+                nearest = min(
+                    shifted, key=lambda u: float(np.abs(u - last.u).max()), default=np.full_like(last.u[0], np.inf)
+                )
+                if np.abs(nearest - last.u).max() <= segment.reach:
+                    end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
+                    segment.points = Points.join([segment.points, end])
+                    segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
+                    segment.mark(name, ENDINGS[STOPPED])
+                    break
 
     def _add_marks(self, segment: Segment, special: Brackets) -> None:
         """Add special points to a segment, without the branch point at which it begins: the parameter may turn."""
