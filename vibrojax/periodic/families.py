@@ -204,9 +204,7 @@ class FamilyContinuation(Tracing):
                     if m.kind == kind and 2 * m.orbit.times.shape[1] == cycles
                     for k in range(cycles // 2)
                 ]
-                nearest = min(
-                    shifted, key=lambda u: float(np.abs(u - last.u).max()), default=np.full_like(last.u[0], np.inf)
-                )
+                nearest = min(shifted, key=lambda u: float(np.abs(u - last.u).max()), default=last.u[0] + np.inf)
                 if np.abs(nearest - last.u).max() <= segment.reach:
                     end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
                     segment.points = Points.join([segment.points, end])

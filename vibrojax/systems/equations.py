@@ -312,10 +312,9 @@ class SystemEquations(Scene[SystemConstants]):
     def _stops(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[str, Any, Any, Any]]:
         """Return name, gap, a mask of gaps below zero by more than rounding errors, and restitution of each stop."""
         stops, known = [], {name: Rounded(x, abs(x)) for name, x in y.items()}
-        noise = ROUNDINGS * jnp.finfo(t.dtype).eps
         for event in (event for _, event in self._flow.of(Impact) if is_stop(event)):
             gap = event.gap(t, y, p)
-            beyond = gap < -noise * event.gap(t, known, p).size
+            beyond = gap < -ROUNDINGS * jnp.finfo(gap.dtype).eps * event.gap(t, known, p).size
             stops.append((event.name, gap, beyond, event.bounce(p) + 0.0 * t))
         return stops
 
