@@ -97,7 +97,9 @@ def follow(
     At a *grazing* point, an impact or another event appears or vanishes, except the beginning or end of a stick phase.
     For events other than impacts, `special_note` names the mode that changes. Multipliers at a special point are
     computed on the side from which the point was reached. If orbits exist only on the side without an impact,
-    multipliers at a special point are computed on the side without impact.
+    multipliers at a special point are computed on the side without impact. Where multipliers grow without limit towards
+    a graze, the value of the parameter and the state are extrapolated to the graze; multipliers and `impacts` are those
+    of the last orbit before the graze.
 
     Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
     mirror image of an orbit counts as another orbit. An orbit that does not cross the section has NaN as its state at
