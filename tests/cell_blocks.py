@@ -41,6 +41,7 @@ def decode(block: bytes) -> list[Cell]:
                 None if multipliers is None else np.array(multipliers, float).reshape(-1, 2),
                 {n: _scaled(row, s) for n, row, s in zip(section, returns, own["section_scales"], strict=False)},
                 own.get("numbers"),
+                own.get("point"),
             )
         )
     return cells

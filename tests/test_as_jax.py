@@ -73,6 +73,10 @@ def test_reason_without_orbit():
     )
 
 
+def test_no_points_have_no_values(f):
+    assert jax.vmap(f)(jnp.zeros((0, 2)))["period"].shape == (0,)
+
+
 def test_points_are_checked(f):
     with pytest.raises(InputError, match="as_jax: the array has the type complex64; give real numbers"):
         f(np.complex64(HERE))

@@ -66,7 +66,7 @@ def test_info_prints_sweep_as_json(here, capsys):
     assert facts["variables"]["relief"] == {
         "dims": ["force", "frequency"],
         "units": "1",
-        "long_name": "mean force over threshold, P/D",
+        "long_name": "mean force divided by the threshold, P/D",
     }
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import socket
 import subprocess
 from pathlib import Path
 
@@ -77,14 +78,15 @@ def test_foreign_files_are_refused(tmp_path, capsys):
 
 
 def test_temporary_files_of_dead_writers_are_removed(tmp_path):
-    """Temporary files of running processes stay."""
+    """Temporary files of running processes stay, and those of other machines that share the folder."""
     from vibrojax.io.writers import write_dataset
 
     dead = subprocess.Popen(["true"])
     dead.wait()
-    some = "0123456789abcdef"
-    others = [f".out.nc.{os.getppid()}-{some}.tmp", ".out.nc.tmp", f".out.nc.{dead.pid}.tmp"]
-    for name in (f".out.nc.{dead.pid}-{some}.tmp", *others):
+    some, here = "0123456789abcdef", socket.gethostname()
+    others = [f".out.nc.{host}-{pid}-{some}.tmp" for host, pid in ((here, os.getppid()), ("another.one", dead.pid))]
+    others += [".out.nc.tmp", f".out.nc.{dead.pid}.tmp"]
+    for name in (f".out.nc.{here}-{dead.pid}-{some}.tmp", *others):
         (tmp_path / name).write_text("somebody's")
     write_dataset(xr.Dataset({"x": 1.0}), tmp_path / "out.nc")
     assert {path.name for path in tmp_path.iterdir()} == {"out.nc", *others}

@@ -9,6 +9,7 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.measures.labels import REGIMES
 from vibrojax.settings.toml import bundled_names
+from vibrojax.studies.design import Designs
 
 FORCE, WIDTH, WIDE = 165e3, 0.004, 0.03
 RUN = {"settle": 25.0, "observe": 6.0}
@@ -45,6 +46,12 @@ def test_no_cell_of_finer_map_is_better(designed):
     power = ds.impact_power.values.reshape(-1, 3)[held.reshape(-1, 3).all(axis=1), 0]
     assert designed.objective[0] >= power.max() * (1 - 1e-3) and (designed.feasible == 1).all()
     assert (np.diff(designed.objective) <= 0).all()
+
+
+def test_page_of_design_whose_scene_is_unknown_here_has_no_motions(designed):
+    """A system of one's own has no name in another process."""
+    elsewhere = designed.assign_attrs(design=designed.attrs["design"].replace('"vibro-impact"', '"mine"'))
+    assert "mine" in elsewhere.attrs["design"] and Designs().page_cells(elsewhere) is None
 
 
 def test_draws_within_tolerance_keep_limits_and_worst_values(designed):

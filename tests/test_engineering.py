@@ -109,3 +109,5 @@ def test_campbell_diagram_over_rotation():
     for name in ("lower_frequency", "upper_frequency"):
         assert np.isclose(levels, float(modes[name])).any()
     assert "2n" in [text.get_text() for text in axes.texts] and axes.get_xlabel() == "rotation [1/min]"
+    (axes,) = vj.picture(ds.assign(period=np.nan * ds.period), diagram="campbell").axes  # no lane has returned
+    assert axes.get_ylim()[0] == 0

@@ -16,8 +16,10 @@ import vibrojax as vj
 from vibrojax.compile.native import kernels
 from vibrojax.errors import InputError
 from vibrojax.explorer import encoding
+from vibrojax.explorer.document import run_document
 from vibrojax.explorer.live import Live
 from vibrojax.explorer.motions import LiveMotions, motions_of
+from vibrojax.maps.read import read_sweep
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 
@@ -300,13 +302,44 @@ def test_lanes_match_sweep(dataset, motions):
             assert cell.kind == "orbit" and cell.duration == pytest.approx(repeat, rel=5e-3)
 
 
+@pytest.mark.parametrize(
+    ("fixed", "grid"),
+    [
+        ({"bit_radius": 0.1}, {"rpm": [100.0, 150.0]}),
+        ({"bit_frequency": 4.5}, {"m1": [200.0, 300.0]}),
+        ({"bit_radius": 0.05, "threshold": 15e3}, {"striker_frequency": [2.9, 3.0]}),
+        ({"threshold": 15e3}, {"bit_radius": [0.04, 0.05]}),
+    ],
+)
+def test_sliders_stand_at_machine_of_lane(fixed, grid):
+    """Coordinates that replace parameters, and the radius of the hole, count beside a lane and in its command."""
+    scene = "drilling" if "threshold" in fixed else "vibro-impact"
+    table = {"scene": scene, "parameters": fixed, "grid": grid, "starts": ["drive"], "run": {"settle": 20.0}}
+    sweep = read_sweep(table | {"unusual": True})
+    data = vj.run_sweep(sweep, progress=False)
+    point = decode_single(motions_of(sweep).answer({"lane": 1}, no_newer_request)).point
+    beside = motions_of(sweep).answer({"parameters": point["parameters"], "start": point["start"]}, no_newer_request)
+    numbers, lane = decode_single(beside).numbers, data.isel(start=0, **dict.fromkeys(grid, 1))
+    compared = ["period", "impact_energy", *(["specific_energy"] if scene == "drilling" else [])]
+    for name in compared:
+        assert numbers[name] == pytest.approx(float(lane[name]), rel=1e-4), name
+    given = run_document(data, sweep)["parameters"]
+    command = vj.simulate(scene, **given | {name: x[1] for name, x in grid.items()}, duration=28.0, progress=False)
+    for name in compared:
+        assert float(command[name]) == pytest.approx(float(lane[name]), rel=1e-4), name
+
+
 @pytest.mark.parametrize("scene", ["penetration", "coupled-drilling"])
 def test_every_scene_answers(scene):
     motions = LiveMotions(scene, {}, None, 2.0 if scene == "penetration" else 12.0)
     cell = decode_single(motions.answer({"parameters": {}}, no_newer_request))
     assert cell.kind != "none" and len(cell.time) > 50 and cell.numbers
     offered = motions.offered()
-    assert {entry["name"] for entry in offered["parameters"]} == set(motions.point.parameters) == set(offered["values"])
+    assert {entry["name"] for entry in offered["parameters"]} == set(motions.point.parameters)
+    drills = scene == "coupled-drilling"
+    assert set(offered["values"]) - set(motions.point.parameters) == (
+        {"bit_radius"} if drills else set()
+    )  # of the hole
     for slider in offered["parameters"]:
         assert slider["low"] <= offered["values"][slider["name"]] <= slider["high"]
         assert motions.names.parameters[slider["name"]].problem(slider["low"]) is None

@@ -55,6 +55,20 @@ def test_fine_scan_finds_no_smaller_push(strong_cycle):
     assert velocity[:-1] == pytest.approx(velocity[0], rel=1e-6) and velocity[-1] < 0.3 * velocity[0]
 
 
+def test_summary_of_system_of_your_own():
+    """States have any names. A push of Van der Pol's oscillator returns unless it leads to the unstable equilibrium."""
+    oscillator = vj.System(
+        "van-der-pol",
+        states={"y": "m", "w": "m s-1"},
+        parameters={"mu": (1.0, "s-1")},
+        field=lambda t, y, p: {"y": y["w"], "w": p["mu"] * (1 - y["y"] ** 2) * y["w"] - y["y"]},
+        section="y",
+    )
+    pushed = vj.smallest_push(oscillator, start=[1.0, 1.0], scan=4, progress=False)
+    [part] = Pushes().summary(pushed)
+    assert part.lines[0] == "working cycle: periodic, 6.6633 s" and len(part.lines) == 5
+
+
 def test_page_shows_motions_on_cycle_and_after_push(strong_cycle):
     """The one push that leaves has a lane of its own; all other directions return to the working cycle."""
     machine, sweep = Pushes().page_cells(strong_cycle)

@@ -78,11 +78,12 @@ class FailingExecutor:
     """An executor that computes each chunk immediately, in this thread, unless `fails` holds of the requested ones."""
 
     def __init__(self, fails, error):
-        self.fails, self.error, self.asked = fails, error, []
+        self.fails, self.error, self.asked, self.threads = fails, error, [], set()
 
     def submit(self, fn, task, index, threads):
         future: Future = Future()
         self.asked.append(index)
+        self.threads.add(threads)
         if self.fails(self.asked):
             future.set_exception(self.error)
         else:
@@ -104,6 +105,14 @@ def test_failed_chunks_are_computed_locally(file, expected, capsys, fails, error
     lines = capsys.readouterr().err
     assert lines.count(warning) == 1 and lines.count("computed here") == 1
     assert sorted(executor.asked) == [0, 1, 2, 3, 4]
+
+
+def test_workers_of_unknown_machines_use_one_core(file):
+    """An executor such as that of SLURM states its number of workers, which do not share the cores of this machine."""
+    executor = FailingExecutor(lambda asked: False, None)
+    executor._max_workers = 1
+    vj.run_sweep(file, progress=False, executor=executor)
+    assert executor.threads == {1}
 
 
 def test_executor_of_forked_processes_is_refused(file):

@@ -49,7 +49,9 @@ class InteractivePage(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         self.env.note_reread()
         if self.config.nb_execution_mode == "off":
-            return [nodes.paragraph("", "Left out of this build: nothing was computed for it.")]
+            return [
+                nodes.paragraph("", "This build of the site has no interactive map, because it ran no simulations.")
+            ]
         frame = f'<iframe class="interactive" src="{PAGE}" title="Interactive regime map" loading="eager"></iframe>'
         link = nodes.reference("", "Open this page on its own", refuri=PAGE)
         return [nodes.raw("", frame, format="html"), nodes.paragraph("", "", link, nodes.Text("."))]

@@ -107,7 +107,7 @@ def within_range(
 def column(values: np.ndarray, source: Sequence[float]) -> Here:
     """Judge a column of Table 5.3: it agrees if all rows except the misprinted tenth (R7) differ by at most 0.1."""
     off = np.abs(values - source) > 0.1
-    text = f"{values.min():.2f} to {values.max():.2f} rad/s, {np.sum(~off)} of {len(source)} rows within 0.1"
+    text = f"{values.min():.2f} to {values.max():.2f} rad/s, {np.sum(~off)} of {len(source)} rows agree within 0.1"
     rows = [row for row, is_off in enumerate(off) if is_off]
     remark = "; ".join(f"row {row + 1} is {values[row]:.2f} here, {source[row]} there" for row in rows)
     return Here(text, AGREES if set(rows) <= {9} else DIFFERS, remark)

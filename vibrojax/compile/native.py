@@ -305,7 +305,8 @@ def trace(function: Callable[..., Any], *examples: Any) -> Any:
 kernels: dict[Hashable, Kernel] = {}
 """All kernels of this process."""
 
-_locks: defaultdict[Hashable, threading.Lock] = defaultdict(threading.Lock)
+# A thread may come here twice: where jax imports a script of the user's that has the name of a standard module.
+_locks: "defaultdict[Hashable, threading.RLock]" = defaultdict(threading.RLock)
 _lock = threading.Lock()
 
 

@@ -19,12 +19,15 @@ from vibrojax.io.attributes import (
     certified_of,
     differing_of,
     flags,
+    hole_radius_of,
     parameters_of,
     run_of,
     text_of,
     title_of,
 )
 from vibrojax.maps.sweep import Sweep
+from vibrojax.measures.labels import HOLE_RADIUS
+from vibrojax.physics.parameters import REPLACED
 from vibrojax.pictures.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol, typeset
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 from vibrojax.pictures.contents import POINT, RETURN, START
@@ -231,12 +234,12 @@ def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
     return {
         "own_scene": False,
         "scene": names.scene,
-        "parameters": {row["name"]: row["value"] for row in differing_of(ds) if row["name"] in names.parameters},
+        "parameters": {name: value for name, value in given_of(ds).items() if name in names.writable},
         # A command leaves out the defaults.
         "options": {key: word for key, word in names.options.items() if word not in ("stribeck", "rectangular")},
         "start": start,
         "duration": command_seconds(run_seconds(ds)),
-        "names": list(names.parameters),
+        "names": list(names.writable),
         "starts": list(names.starts),
         "states": list(names.system.start_states),
         "rocks": list(names.presets.get("rock", ())),
@@ -252,6 +255,17 @@ def run_seconds(ds: xr.Dataset) -> float:
 def command_seconds(seconds: float) -> float:
     """Return the duration [s] for a command, limited and rounded."""
     return float(f"{min(seconds, COMMAND_MAX_SECONDS):.6g}")
+
+
+def given_of(ds: xr.Dataset) -> dict[str, Any]:
+    """Return the numbers that determine the machine of a dataset, where they differ from the defaults.
+
+    These are parameters, names that replace a parameter, such as `bit_frequency`, and the radius of the hole.
+    """
+    radius = hole_radius_of(ds)
+    given: dict[str, Any] = {row["name"]: row["value"] for row in differing_of(ds)}
+    given |= {name: value for name, value in parameters_of(ds).items() if name in REPLACED}
+    return given | ({} if radius in (None, HOLE_RADIUS) else {"bit_radius": radius})
 
 
 def options_of(ds: xr.Dataset) -> dict[str, str]:

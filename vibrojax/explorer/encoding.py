@@ -21,7 +21,8 @@ of one `Cell`; a widget sends the same bytes over its channel.
                           "multipliers":  [[modulus, argument], ...] or null
                           "passed":       number of crossings in the section's columns
                           "section_scales": [least, greatest] of each section column
-                          "numbers":      {variable: value}, only if simulated live}]}
+                          "numbers":      {variable: value}, only if simulated live
+                          "point":        {"parameters": by name, "start"} of a lane, only if simulated live}]}
 
     numbers = for each `Cell` the times, columns and section columns, all as 16-bit integers. Times span 0 to
               `TIME_LEVELS` over the duration. States span 0 to `STATE_LEVELS` between least and greatest. Times and
@@ -91,6 +92,7 @@ class Cell:
     multipliers: Float[np.ndarray, "multipliers 2"] | None = None
     section: Mapping[str, Float[np.ndarray, " returns"]] = field(default_factory=dict)
     numbers: Mapping[str, Any] | None = None
+    point: Mapping[str, Any] | None = None
 
 
 def encode(cells: Sequence[Cell]) -> bytes:
@@ -117,7 +119,7 @@ def encode(cells: Sequence[Cell]) -> bytes:
                 "passed": len(next(iter(cell.section.values()), empty)),
                 "section_scales": [scale for _, scale in returns] if cell.section else [],
             }
-            | ({} if cell.numbers is None else {"numbers": cell.numbers})
+            | {name: x for name in ("numbers", "point") if (x := getattr(cell, name)) is not None}
         )
     block_header = {"format": 1, "columns": [vars(c) for c in columns], "section": list(section), "cells": headers}
     header = json.dumps(block_header, separators=(",", ":"), allow_nan=False).encode()
@@ -133,7 +135,8 @@ def pack(values: np.ndarray) -> dict[str, object]:
     The bytes of all values are stored plane by plane (all first bytes, all second ones, ...), little-endian. Floats are
     rounded to a short mantissa, so that they deflate better.
     """
-    if values.dtype.kind == "f":
+    limits = np.iinfo(np.int32)
+    if values.dtype.kind == "f" or (values.size and not limits.min <= values.min() <= values.max() <= limits.max):
         dropped = 23 - MANTISSA_BITS
         with np.errstate(over="ignore"):  # a value beyond the range of 32 bits becomes infinite
             bits = np.ascontiguousarray(values, np.float32).view(np.uint32)

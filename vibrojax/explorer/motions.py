@@ -12,11 +12,12 @@ import xarray as xr
 
 from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, Place, shown
-from vibrojax.explorer.document import Document, one_line, options_of, run_seconds, start_of
+from vibrojax.explorer.document import Document, given_of, one_line, options_of, run_seconds, start_of
 from vibrojax.explorer.encoding import Cell, encode, pack
 from vibrojax.explorer.recording import cell_of_record, event_times, finite, last_excerpt, repeated_pulses
 from vibrojax.explorer.views import sweep_of
-from vibrojax.io.attributes import differing_of, text_of
+from vibrojax.io.attributes import text_of
+from vibrojax.lanes.inputs import LaneInputs
 from vibrojax.lanes.record import BATCH, Record, check_size, window
 from vibrojax.maps.executor import compute
 from vibrojax.maps.read import Point, read_point
@@ -24,9 +25,10 @@ from vibrojax.maps.rerun import rerun_problem
 from vibrojax.maps.run import joined
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.lane_stages import lane_run
-from vibrojax.physics.parameters import ROTATION, Parameter
+from vibrojax.physics.parameters import Parameter, substitutes
 from vibrojax.pictures.axes import pretty_unit, scale, with_unit
 from vibrojax.scenes import Scene
+from vibrojax.scenes.capabilities import HasRock
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.values import UnusualValue
 from vibrojax.stepping import AccuracyRequest, Located
@@ -57,7 +59,8 @@ class LiveMotions:
     **Arguments:**
 
     - `scene`: name of a scene, or a scene object.
-    - `values`: parameters (SI) and options such as `friction` that differ from the defaults.
+    - `values`: parameters (SI), names that replace them, radius of the hole, and options such as `friction` that differ
+      from the defaults.
     - `start`: initial condition unless a request specifies another; None for the scene's first.
     - `duration` [s]: simulated time; its last part is observed.
     - `axes`: values by parameter that the slider of the parameter must include.
@@ -76,6 +79,7 @@ class LiveMotions:
         sweep: Sweep | None = None,
     ) -> None:
         self.point: Point = read_point(PLACE, scene, values, start)
+        self.values = self.point.parameters | _radius(self.point)
         self.names: Names = read_names(PLACE.at("scene"), self.point.system)
         self.duration, self.whole = min(duration, MOTION_MAX_SECONDS), duration
         self.axes, self.sweep = dict(axes or {}), sweep
@@ -110,7 +114,7 @@ class LiveMotions:
         start = self.point.start if start is None else start
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", UnusualValue)
-            point = read_point(PLACE, self.point.system, self.point.parameters | dict(parameters), start)
+            point = read_point(PLACE, self.point.system, self.values | dict(parameters), start)
         steps = 0
 
         def count_steps(reached: float) -> None:
@@ -145,9 +149,11 @@ class LiveMotions:
         if self.names.has_starts:
             index, names = int(lane.start[0]), lane.start_names
             start = names[index] if index < len(names) else [float(x[0]) for x in lane.states]
-        cell = self.cell({name: float(x[0]) for name, x in lane.parameters.items()}, start, check)
+        values = {name: float(x[0]) for name, x in lane.parameters.items()} | _radius(lane)
+        cell = self.cell(values, start, check)
         carried = "" if self.sweep.run.carry is None else "from the start, not carried on from the point before"
-        return replace(cell, lane=number, numbers=None, note="; ".join(text for text in (cell.note, carried) if text))
+        note = "; ".join(text for text in (cell.note, carried) if text)
+        return replace(cell, lane=number, numbers=None, note=note, point={"parameters": values, "start": start})
 
     def _number(self, number: object) -> int:
         lanes = self.sweep.lanes if self.sweep is not None else 0
@@ -170,7 +176,7 @@ class LiveMotions:
         units = {state.name: state.unit for state in system.states}
         return {
             "parameters": [self._slider(parameter) for parameter in self.names.parameters.values()],
-            "values": self.point.parameters,
+            "values": self.values,
             "starts": list(self.names.starts),
             "states": list(system.start_states),
             "state_labels": [with_unit(f"{name} at the start", units[name]) for name in system.start_states],
@@ -179,7 +185,6 @@ class LiveMotions:
             "whole": self.whole,
             "lanes": self.sweep.lanes if self.sweep is not None else 0,
             "rocks": self.names.presets.get("rock", {}),
-            "bit_radius": ROTATION["bit_radius"].default,
         }
 
     def _slider(self, parameter: Parameter) -> dict[str, Any]:
@@ -225,13 +230,15 @@ def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> 
     if not isinstance(box, dict) or len(box) != 2 or not set(box) <= set(sweep.axes):
         raise BOX.error(f"{shown(box)} is not a table of two of the axes {', '.join(sweep.axes)}")
     axes = {name: _values_between(BOX.at(name), box[name], known) for name, known in sweep.axes.items() if name in box}
-    values, index = sweep.lane_values(lane, lane + 1)
+    (values, index), radius = sweep.lane_values(lane, lane + 1), _radius(sweep.inputs_of(np.array([lane])))
     fixed = {name: float(x[0]) for name, x in values.items() if name not in axes}
     starts = sweep.starts
     if starts is not None and len(starts):
         starts = replace(starts, number=starts.number[index], vectors=starts.vectors[index])
     run = replace(sweep.run, orbits=False, keep_returns=0)
-    part = replace(sweep, axes=axes, parameters=sweep.parameters | fixed, starts=starts, run=run)
+    part = replace(
+        sweep, axes=axes, parameters=sweep.parameters | fixed, given=sweep.given | radius, starts=starts, run=run
+    )
     if problem := rerun_problem(part):
         raise BOX.error(f"it has {problem}")
     began, lanes = time.monotonic(), lane_run(part.inputs(0, 1), part.plan)
@@ -263,20 +270,27 @@ def motions_for(ds: xr.Dataset, own: Sweep | None = None) -> LiveMotions:
     sweep, _ = sweep_of(ds, own)
     if sweep is not None:
         return motions_of(sweep)
-    values: dict[str, object] = {row["name"]: row["value"] for row in differing_of(ds)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnusualValue)
-        return LiveMotions(text_of(ds, "scene"), values | options_of(ds), start_of(ds), run_seconds(ds))
+        return LiveMotions(text_of(ds, "scene"), given_of(ds) | options_of(ds), start_of(ds), run_seconds(ds))
 
 
 def motions_of(sweep: Sweep) -> LiveMotions:
     """Return the motions on demand for the lanes of a sweep and for other parameters."""
-    values = {name: float(x[0]) for name, x in sweep.lane_values(0, 1)[0].items()}
+    first = sweep.inputs_of(np.zeros(1, int))
+    values = {name: float(x[0]) for name, x in first.parameters.items()} | _radius(first)
     axes = {name: x for name, x in {**sweep.axes, **(sweep.points or {})}.items() if x.dtype.kind == "f"}
     start = sweep.starts[0] if sweep.starts is not None and len(sweep.starts) else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnusualValue)  # reported when the sweep was read
         return LiveMotions(sweep.system, values, start, sweep.run.settle + sweep.run.observe, axes, sweep)
+
+
+def _radius(machine: Point | LaneInputs) -> dict[str, float]:
+    """Return the radius of the hole [m] by name if it may be given in the scene."""
+    scene = machine.system if isinstance(machine, Point) else machine.scene
+    drills = isinstance(scene, HasRock) and "bit_radius" in substitutes(scene.parameters())
+    return {"bit_radius": float(np.ravel(machine.hole_radius)[0])} if drills else {}
 
 
 def _cell_of_motion(scene: Scene[Any], constants: Any, motion: Recorded, duration: float) -> Cell:

@@ -60,11 +60,12 @@ def write_page(
 
     - `ds`: dataset of any kind that has a picture.
     - `path`: path of the HTML file; a page that this package wrote is replaced.
-    - `over`: result of `borders` or `curves`, to be drawn over a map of the same parameters, or result of `follow`, to
-      be drawn over the returns of a sweep.
+    - `over`: result of `borders` or `curves`, to be drawn on top of a map of the same parameters, or result of
+      `follow`, to be drawn on top of the section crossings of a sweep.
     - `sweep`: the sweep of the dataset, needed if the sweep contains objects of your own, such as a scene or a friction
       law.
-    - `progress`: whether to report progress. To record the motions, the page runs the sweep again, with orbits.
+    - `progress`: whether to report progress. To record the motions for the page, `write_page` runs the sweep of the
+      dataset again.
 
     **Returns:** the path.
 
@@ -104,16 +105,17 @@ def explore(
       without a kernel. By default, `live` is True if the scene belongs to the package.
 
     **Returns:** the widget. The traits `cell` (index along each axis) and `point` (value of each axis in SI units, and
-    the initial condition by name or state) describe the selected map cell. The trait `simulated` of the widget has the
-    `parameters` in SI units and the `start` of the last motion that sliders requested. The property `lane` of the
-    widget is the dataset of the selected lane.
+    the initial condition by name or state) describe the selected map cell. The property `lane` of the widget is the
+    dataset of the selected lane.
 
     **Raises:** `InputError` if the dataset holds nothing to show, or if anywidget is not installed
     (`pip install "vibrojax[widget]"`); an assignment `widget.point = ...` raises `InputError` if the axis or value does
     not exist.
 
-    **Example:** (in a notebook, a line `widget` shows the page; a click selects a map cell, as `widget.point = ...`
-    does)
+    In a notebook, a cell with the line `widget` shows the page. Select a map cell by a click, or in Python by an
+    assignment to `widget.point`.
+
+    **Example:**
 
     >>> sweep = {"scene": "vibro-impact", "grid": {"beta": [0.3, 0.4]}, "run": {"settle": 8.0}}
     >>> widget = vj.explore(vj.run_sweep(sweep, progress=False))

@@ -7,6 +7,7 @@ import os
 import re
 import secrets
 import shutil
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -85,13 +86,18 @@ def restore(path: Path, before: Path | None = None) -> None:
 
 
 def _temporary(path: Path, ending: str) -> Path:
-    """Return a name next to `path` with the number of this process and a random part."""
-    return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(8)}.{ending}")
+    """Return a name next to `path` with this machine, the number of this process and a random part."""
+    return path.with_name(f"{_prefix(path)}{os.getpid()}-{secrets.token_hex(8)}.{ending}")
+
+
+def _prefix(path: Path) -> str:
+    """Return the beginning of temporary names for `path`; machines that share a folder number processes alike."""
+    return f".{path.name}.{socket.gethostname()}-"
 
 
 def _leftovers(path: Path, ending: str) -> list[Path]:
-    """Return what processes that have ended left for `path` under temporary names."""
-    temporary = re.compile(re.escape(f".{path.name}.") + r"(\d+)-[0-9a-f]{16}" + re.escape(f".{ending}"))
+    """Return what processes of this machine that have ended left for `path` under temporary names."""
+    temporary = re.compile(re.escape(_prefix(path)) + r"(\d+)-[0-9a-f]{16}" + re.escape(f".{ending}"))
     names = ((other, temporary.fullmatch(other.name)) for other in path.parent.iterdir())
     return [other for other, match in names if match and _has_ended(int(match[1]))]
 

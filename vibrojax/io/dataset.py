@@ -24,7 +24,7 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 
     **Arguments:**
 
-    - `path`: path of the netCDF file or Zarr store. Attributes, names, coordinates and flags of the file are checked.
+    - `path`: path of the netCDF file or Zarr store.
 
     **Returns:** the dataset, in memory. In a dataset above 256 MB, each variable is read when it is first used, or in
     parts if dask is installed.

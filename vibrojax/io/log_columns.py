@@ -21,7 +21,7 @@ STICK_SLIP, LINE, DATE = "stick_slip_index", "line", "date"
 
 LAW = table(
     not_negative(RATE, 1e-3, "m s-1", "rate of penetration", "ROP", (1e-5, 1e-2)),
-    not_negative(RELIEF, 1.0, "1", "mean force over threshold, P/D", "P/D", (0.05, 2.0)),
+    not_negative(RELIEF, 1.0, "1", "mean force divided by the threshold, P/D", "P/D", (0.05, 2.0)),
     not_negative(FORCE, 20e3, "N", "mean force on the bit", "P", (10e3, 500e3)),
     ROCK[THRESHOLD],
 )

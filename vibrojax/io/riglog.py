@@ -62,18 +62,20 @@ def read_log(
 ) -> pd.DataFrame:
     """Read a rig log as it was exported (CSV, LAS, WITSML, xlsx) into a table in SI units.
 
-    Rows during which the rig does not drill are dropped and counted by reason. All rows are kept if the table has no
-    column that only rigs record, such as a table of relief and rate_of_penetration.
+    Rows during which the rig does not drill are dropped and counted by reason. If the table has no column that only
+    rigs record (for example, only relief and rate_of_penetration), all rows are kept.
 
     **Arguments:**
 
     - `path`: the file, or a DataFrame with the columns of such a file.
     - `columns`: for each quantity, its column and unit, or a value for all rows, such as {"bit_diameter": "8.5 in"}.
     - `where`: one or several conditions that rows must meet: "WOB (klb) < 35", "depth (m) >= 1200", "time (h) > 2",
-      "Formation=shale". A condition on a quantity replaces the usual limit of this quantity.
+      "Formation=shale". A condition on a quantity replaces the default limit above which values of this quantity count
+      as missing.
     - `nulls`: further texts or numbers that mark a missing value, in addition to -999.25, NULL, N/A, - and similar
       ones.
-    - `needed`: quantities for which a bad cell or an unlikely unit is an error; for other quantities, a note is made.
+    - `needed`: quantities for which a bad cell or an unlikely unit is an error; for other quantities, `notes` lists
+      such faults.
 
     **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`
     [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and

@@ -15,8 +15,8 @@ class Variable:
     - `dtype`: data type of the stored values.
     - `flags`: the meaning of each integer value, from `first_flag` (0 by default) upwards.
     - `along`: name of a dimension that the variable has in addition to the dimensions of the sweep; "" for none.
-    - `dims`: all dimensions of the variable, if these are the same in every dataset; the values are then given without
-      dimensions.
+    - `dims`: all dimensions of the variable, if these are the same in every dataset; `Analysis.dataset` then takes its
+      values alone, not (dimensions, values).
     - `notes`: further attributes by name, such as a definition.
 
     **Example:**
@@ -118,7 +118,9 @@ def orbit_name(state: str) -> str:
 
 VARIABLES: dict[str, Variable] = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
-    "check_regime": Variable("1", "regime in the coarser check run", np.int8, REGIMES),
+    "check_regime": Variable(
+        "1", "regime in a second simulation with longer steps, which checks the first", np.int8, REGIMES
+    ),
     "hidden_motion": Variable(
         "1",
         "whether another start at the same point leads to a different motion of the same regime",
@@ -133,7 +135,7 @@ VARIABLES: dict[str, Variable] = {
     "impact_velocity_min": Variable("m s-1", "least impact velocity"),
     "impact_velocity_max": Variable("m s-1", "greatest impact velocity"),
     "bit_velocity_at_impact": Variable("m s-1", "sliding velocity of the bit at an impact"),
-    "impact_phase": Variable("rad", "mean phase of the impacts since the section crossing"),
+    "impact_phase": Variable("rad", "mean phase of the impacts between two returns, 0 at the section crossing"),
     "impact_energy": Variable("J", "impact energy"),
     "impact_power": Variable(
         "W",
@@ -155,7 +157,7 @@ VARIABLES: dict[str, Variable] = {
     ),
     "bit_amplitude": Variable("m", "half the peak-to-peak range of the bit's position"),
     "striker_amplitude": Variable("m", "half the peak-to-peak range of the striker's position"),
-    "striker_turns": Variable("1", "number of times per return that the striker turns back"),
+    "striker_turns": Variable("1", "number of maxima of the striker's position per return"),
     "phase_lag": Variable("rad", "phase lag of the striker's fundamental oscillation behind the bit's"),
     "settling_time": Variable("s", "time after which the returns repeat within 1 %"),
     "drive_power": Variable("W", "mean power of the drive"),
@@ -168,14 +170,16 @@ VARIABLES: dict[str, Variable] = {
     "reason": Variable("1", "reason why the lane failed or was refused", np.int8, REASONS),
     "rate_of_penetration": Variable("m s-1", "rate of penetration"),
     "mean_force": Variable("N", "mean force on the bit, P"),
-    "relief": Variable("1", "mean force over threshold, P/D"),
+    "relief": Variable("1", "mean force divided by the threshold, P/D"),
     "slip_per_impact": Variable("m", "growth of the hole's depth per impact (per pulse under a prescribed force)"),
     "specific_energy": Variable(
         "J m-3",
         "impact energy per volume of the hole",
         notes={"definition": "impact_power/(pi bit_radius^2 rate_of_penetration); NaN if cycles or the rate is 0"},
     ),
-    "deepest_gap": Variable("m", "greatest gap between bit and rock, as a negative number"),
+    "deepest_gap": Variable(
+        "m", "greatest distance of the bit above the rock, with a minus sign; 0 without separation"
+    ),
     "multiplier_abs": Variable("1", "modulus of the orbit's multipliers, in decreasing order", along="multiplier"),
     "multiplier_arg": Variable("rad", "argument of the orbit's multipliers, 0 to pi", along="multiplier"),
     "eigenvalue_re": Variable(

@@ -8,7 +8,15 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
@@ -108,7 +116,11 @@ def _by_executor(
     check_executor(executor)
     count = getattr(executor, "_max_workers", None)
     workers = count if isinstance(count, int) and count > 0 else 0  # 0: the executor does not state their number
-    task, threads = pickled(sweep), max(1, usable_cores() // workers) if workers else 1
+    # The workers of these share this machine. The cores of any other worker are not known here, and may be one.
+    is_local = (
+        isinstance(executor, (ProcessPoolExecutor, ThreadPoolExecutor)) or type(executor).__module__[:4] == "loky"
+    )
+    task, threads = pickled(sweep), max(1, usable_cores() // workers) if workers and is_local else 1
     waiting, failed, running = deque(indices), list[int](), dict[Any, int]()
 
     def fail(index: int, error: Exception, broken: bool) -> None:

@@ -37,13 +37,13 @@ class Sweep:
     - `title`: free text.
     - `file`: name of the sweep file, for messages.
     - `scene`: name of the scene. `system`: the scene object.
-    - `options`: names of the scene's options, such as the friction law.
+    - `options`: chosen value of each option of the scene, such as the name of the friction law.
     - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene with a
-      single initial condition. `own_starts`: True if each point has one initial condition, the one with the same index.
+      single initial condition. `own_starts`: True if point i of the table has its own initial condition, `starts[i]`.
     - `parameters`: all fixed parameters by name, in SI units. `given`: the parameters that the user specified.
-    - `axes`: values (values,) of each axis of the grid, in the order of the file; empty if only the initial condition
-      varies.
-    - `points`: columns (points,) of the table of points that replaces a grid.
+    - `axes`: arrays of the values of each axis of the grid, by name in the order of the file; empty if only the initial
+      condition varies.
+    - `points`: if a table of points replaces the grid, its columns by name, as arrays (points,).
     - `run`: settings of the run.
 
     Fixed values of `rpm` and `bit_radius` are converted to `v` in `parameters`.

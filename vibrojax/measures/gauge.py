@@ -69,8 +69,8 @@ class Gauge(ABC, Generic[K]):
 
     A gauge must define the method `read`. The method `increments` returns what a step adds to the sums of a return
     interval, which lasts from one section crossing to the next. The method `close` may replace the sums at the end of a
-    return interval. The method `begin` creates the *carry* of the gauge, its state during the observation; the methods
-    `step` and `section` update this carry. The carry is a pytree of arrays whose last axis is lanes. All methods of a
+    return interval. The method `begin` creates the *carry*, which is the state of the gauge during the observation; the
+    methods `step` and `section` update it. The carry is a pytree of arrays whose last axis is lanes. All methods of a
     gauge are pure functions. A gauge is a frozen dataclass, because gauges are static arguments of compiled programs. A
     scene lists its gauges, or their names, in `measures`.
 

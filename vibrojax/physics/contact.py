@@ -1,4 +1,4 @@
-"""One-sided visco-elastic contact of striker and bit (source, eq. 5.18), and closed-form results (eqs. 5.6 to 5.8).
+"""One-sided visco-elastic contact of striker and bit (Batako's thesis, eq. 5.18), and closed-form results.
 
 **Example:**
 
@@ -25,7 +25,7 @@ def raw_force(compression: Value, rate: Value, k0: Value, c0: Value) -> Any:
 
 
 def force(compression: Real, rate: Real, k0: Real, c0: Real) -> Any:
-    """Return the contact force J [N] (source, eq. 5.18): max(k0 d + c0 d', 0) for d >= 0, else 0.
+    """Return the contact force J [N] (Batako's thesis, eq. 5.18): max(k0 d + c0 d', 0) for d >= 0, else 0.
 
     The function accepts arrays only, not Taylor series.
     """
@@ -43,9 +43,9 @@ def damping_ratio(mass: Real, k0: Real, c0: Real) -> Any:
 def restitution(xi: Real) -> Any:
     """Return the ratio of the speeds after and before an impact on a Kelvin-Voigt stop.
 
-    The mass leaves the stop when the contact force is zero. The ratio is R = exp(-2 xi acos(xi)/sqrt(1 - xi²)), eq. 5.8
-    of the source with its root read as sqrt(1 - xi²). For xi > 1, acosh(xi)/sqrt(xi² - 1) replaces acos(xi)/sqrt(1 -
-    xi²). At xi = 1 the formulas for weak and strong damping tend to exp(-2) and meet smoothly.
+    The mass leaves the stop when the contact force is zero. The ratio is R = exp(-2 xi acos(xi)/sqrt(1 - xi²)). This is
+    eq. 5.8 of Batako's thesis, with its square root corrected to sqrt(1 - xi²). For xi > 1, acosh(xi)/sqrt(xi² - 1)
+    replaces acos(xi)/sqrt(1 - xi²).
 
     **Arguments:** `xi` >= 0, any shape.
     """
@@ -53,7 +53,7 @@ def restitution(xi: Real) -> Any:
 
 
 def contact_time(mass: Real, k0: Real, c0: Real) -> Any:
-    """Return the duration T [s] of an impact of a mass [kg], from w_d T = 2 acos(xi) (source, eq. 5.7).
+    """Return the duration T [s] of an impact of a mass [kg], from w_d T = 2 acos(xi) (Batako's thesis, eq. 5.7).
 
     w_d is the damped natural frequency of the mass on the contact.
     """

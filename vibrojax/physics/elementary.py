@@ -1,7 +1,7 @@
 """Elementary functions for physical equations.
 
-Each function accepts arrays, Python numbers, and registered number types such as the truncated Taylor series of the
-located stepper. The same equation therefore serves every stepper.
+The functions of `vj.elementary` accept arrays, Python numbers, and registered number types such as the truncated Taylor
+series of the located stepper. An equation that uses only these functions works with every stepper.
 
 **Example:**
 
@@ -105,8 +105,8 @@ def minimum(x: Any, y: Any) -> Any:
 def absolute(x: Any) -> Any:
     """Return the absolute value of x.
 
-    In a `vj.System`, a step ends where x changes its sign. Outside of a `vj.System`, a Taylor series has the sign of
-    its value at the start of the step.
+    In a `vj.System`, a step ends where x changes its sign. Outside of a `vj.System`, the absolute value of a Taylor
+    series x uses the sign of x at the start of the step.
     """
     active = BRANCHES.get()
     return magnitude(x) if active is None else active.absolute(x)

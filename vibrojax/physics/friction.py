@@ -1,4 +1,4 @@
-"""Dry-friction laws of the source (eqs. 2.13 to 2.17 and 5.9), and the type of a friction law.
+"""Dry-friction laws of Batako's thesis (eqs. 2.13 to 2.17 and 5.9), and `FrictionLaw`, the class of such laws.
 
 **Example:**
 
@@ -27,12 +27,12 @@ Coefficient = Callable[[Any, Numbers], Any]
 class FrictionLaw:
     """A dry-friction law with the force sgn(u) (mu(|u|) m1 g + mu_J(|u|) J) at sliding velocity u.
 
-    Pass your own law to `simulate` or to a sweep as the parameter `friction`. Friction laws compare by identity, as
-    compiled programs require.
+    Pass your own law to `simulate` or to a sweep as the parameter `friction`.
 
     **Arguments:**
 
-    - `name`: name of the law in sweep files; `reference`: number of its equation in the source.
+    - `name`: name of the law in sweep files; `reference`: where the law is published; "eq. 5.9" is an equation of
+      Batako's thesis.
     - `parameters`: the law's own parameters, by name, from `vj.parameters.table`.
     - `mu`: function `mu(speed, p)` that returns the friction coefficient under the bit's weight at the sliding speed
       `speed` >= 0 [m/s]; `p` has the law's own parameters by name. The limit `mu(0, p)` sets the greatest friction
@@ -41,8 +41,7 @@ class FrictionLaw:
     - `mu_impact`: function `mu_impact(speed, p)` that returns the friction coefficient mu_J under the impact force J;
       default: `mu`.
     - `flat_below`: function `flat_below(p)` that returns a speed [m/s] below which `mu` is constant within rounding
-      error, although `mu` varies at higher speeds. Taylor series at speeds below `flat_below` do not predict `mu` at
-      higher speeds.
+      error, although `mu` varies at higher speeds.
 
     **Example:**
 
@@ -161,7 +160,7 @@ _LAWS = (
 )
 
 FRICTION_LAWS: dict[str, FrictionLaw] = {law.name: law for law in _LAWS}
-"""The friction laws of the package by name, as in sweep files.
+"""A dict of the package's friction laws; its keys are the names of the laws in sweep files.
 
 **Example:**
 

@@ -1,4 +1,4 @@
-"""Linear modes of bit and striker without impact (source, eqs. 5.15 to 5.17).
+"""Linear modes of bit and striker without impact (Batako's thesis, eqs. 5.15 to 5.17).
 
 **Example:**
 
@@ -21,7 +21,7 @@ Numbers = Mapping[str, Any]
 
 
 def striker(p: Numbers) -> tuple[Any, Any]:
-    """Return the striker's mass m2 = beta m1 [kg] and spring stiffness k2 = m2 (gamma w1)² [N/m], w1² = k1/m1."""
+    """Return the striker's mass m2 = beta m1 [kg] and spring stiffness k2 = m2 (gamma w1)² [N/m]; w1² = k1/m1."""
     return p["beta"] * p["m1"], p["beta"] * p["k1"] * p["gamma"] ** 2
 
 
@@ -39,11 +39,10 @@ def uncoupled_frequencies(p: Numbers) -> tuple[Any, Any]:
 
 
 def natural_frequencies(p: Numbers, xp: Any = jnp) -> Float[Array, "*lanes 2"]:
-    """Return the two undamped natural frequencies [rad/s] (source, eq. 5.16).
+    """Return the two undamped natural frequencies [rad/s] (Batako's thesis, eq. 5.16).
 
     The last axis of the result has length 2; the lower frequency comes first. The frequencies w are the roots of w⁴ -
-    w² (w1² + w2² (1 + beta)) + w1² w2² = 0. The equation for w follows from m1 x1'' = -k1 x1 - k2 (x1 - x2) and m2 x2''
-    = -k2 (x2 - x1). `xp`: the array library, jax.numpy or numpy.
+    w² (w1² + w2² (1 + beta)) + w1² w2² = 0. `xp`: the array library, jax.numpy or numpy.
     """
     w1_squared = p["k1"] / p["m1"]
     w2_squared = w1_squared * p["gamma"] ** 2
@@ -56,16 +55,16 @@ def natural_frequencies(p: Numbers, xp: Any = jnp) -> Float[Array, "*lanes 2"]:
 
 
 def empirical_frequency(p: Numbers, share: Value = 0.25) -> Any:
-    """Return the empirical frequency [rad/s] w = sqrt((k1 + k2)/m1 + share k2/m2) (source, eq. 5.17).
+    """Return an empirical estimate of the vibration frequency [rad/s] (Batako's thesis, eq. 5.17).
 
-    The factor `share` of k2/m2 is 1/4 in Batako's thesis.
+    The estimate is w = sqrt((k1 + k2)/m1 + s k2/m2), with s = `share`, which is 1/4 in Batako's thesis.
     """
     m2, k2 = striker(p)
     return jnp.sqrt((p["k1"] + k2) / p["m1"] + share * k2 / m2)
 
 
 def linearised(p: Numbers, friction_slope: Value) -> Float[Array, "4 4"]:
-    """Return the system matrix of the motion linearised about steady sliding (source, eq. 5.15).
+    """Return the system matrix of the motion linearised about steady sliding (Batako's thesis, eq. 5.15).
 
     **Arguments:** `p`: scalar parameters; `friction_slope` [N s/m]: dF/du at the drive speed. If `friction_slope` is
     negative, friction feeds energy into the vibration.

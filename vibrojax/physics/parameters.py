@@ -22,8 +22,8 @@ class Parameter:
     """A physical parameter of a scene or a friction law.
 
     The field `unit` is the unit of `default`. A value must be at least `lowest` (above `lowest` if `open_below` is
-    True), and less than the bound `below`. The pair `usual` holds the least and the greatest value in the source or on
-    rigs; None if unknown.
+    True), and less than the bound `below`. The pair `usual` holds the smallest and the largest value in Batako's thesis
+    or on rigs; None if unknown.
     """
 
     name: str

@@ -116,6 +116,3 @@ def response(ds: xr.Dataset) -> Sheet:
         up, keys = Axis(f"{label} [{unit}]", limits=(0.0, None)), "" if row else "above right"
         plots.append(Plot([*spans, line], across, up, place=(row, 0), keys=keys))
     return Sheet(plots, (7.6, 6.2), **margins(ds, growth_text(hole)))
-
-
-# Systems, and chosen variables.

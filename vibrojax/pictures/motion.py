@@ -339,9 +339,6 @@ def _last_impact(hole: Run, impacts: Samples) -> tuple[float, float] | None:
     return None
 
 
-# The bit on rock under an applied force.
-
-
 def states_over_time(ds: xr.Dataset) -> Sheet:
     """Draw the states over the last ten periods of a motion, and a phase portrait of its first two states.
 

@@ -15,7 +15,7 @@ _files = (import_module(f"{__name__}.{file.name}") for file in iter_modules(__pa
 _kinds = (kind for file in _files for kind in getattr(file, "SCENES", ()))
 
 SCENES: dict[str, type[Scene[Any]]] = {kind.name: kind for kind in sorted(_kinds, key=lambda kind: kind.name)}
-"""The scene classes of the package by name, as in sweep files.
+"""A dict of the package's scene classes; its keys are the names of the scenes in sweep files.
 
 **Example:**
 

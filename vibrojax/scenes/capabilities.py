@@ -61,7 +61,7 @@ class HasFriction(Scene[C]):
 
     @abstractmethod
     def flight_rate(self, c: C) -> Any:
-        """Return an upper bound on the rate of change [1/s] without impact, by which stiff lanes are rejected."""
+        """Return an upper bound on the rate of change [1/s] of the states without impact, to reject stiff lanes."""
 
     @abstractmethod
     def spring_rate(self, c: C) -> Any:
@@ -103,7 +103,7 @@ class HasImpacts(Scene[C]):
 
 
 class HasContact(HasImpacts[C]):
-    """A scene with a striker that hits the bit or a stop, so that the forces and energies of impacts are measured.
+    """A scene with a striker that hits the bit or a stop. The forces and energies of the impacts are measured.
 
     The mode `touching` is 1 while striker and bit are in contact. A contact begins and ends at zeros of the guard
     `contact`.
@@ -132,7 +132,7 @@ class HasContact(HasImpacts[C]):
 
     @abstractmethod
     def contact_time(self, c: C) -> Any:
-        """Return the duration of an impact on a fixed bit [s] (source, eq. 5.7)."""
+        """Return the duration of an impact on a fixed bit [s] (Batako's thesis, eq. 5.7)."""
 
     @abstractmethod
     def contact_rate(self, c: C) -> Any:

@@ -52,7 +52,7 @@ class Mode(NamedTuple):
 
 
 class Marker(NamedTuple):
-    """An event function that is a state, mostly a velocity: steps end where the state crosses zero.
+    """A state, mostly a velocity, that serves as an event function: a step ends where the state crosses zero.
 
     At the end of a step on a marker, the state of the marker is set to zero. The field `velocity` of a marker names its
     state: a velocity, or another state of similar magnitude, such as the phase of a forcing. No guard may have the same
@@ -77,8 +77,9 @@ class Guard:
       mode lasts and zero at the end of the mode.
     - `resolution`: function `resolution(constants, mode)`, which returns the magnitude up to which a value of the guard
       counts as zero.
-    - `slope_resolution`: function `slope_resolution(constants, mode, h)` that returns the magnitude up to which the
-      first-order change of the guard over a step `h` [s] counts as zero; None: 16 times `resolution`.
+    - `slope_resolution`: function `slope_resolution(constants, mode, h)`; if the first-order change of the guard over a
+      step `h` [s] is smaller than the returned value, the change counts as zero. By default, this value is 16 times
+      `resolution`.
     - `is_switch`: True if the vector field jumps at the guard, as dry friction does. A smoothing stepper spreads the
       jump of the field over a width of velocities.
 
@@ -101,9 +102,9 @@ class Guard:
 class Swing(NamedTuple):
     """Names of an oscillating state, of its rate of change, and of the dataset variable for its amplitude.
 
-    The amplitude is half the peak-to-peak range of the state `position`. If a marker has the `velocity` of the swing,
-    steps end on the turning points of its position. If the section has a state `at`, the first swing may have the
-    velocity None.
+    The amplitude is half the peak-to-peak range of the state `position`. If a marker and a swing name the same
+    `velocity`, steps end at the turning points of the swing's position. If the section has the field `at`, the first
+    swing may have the velocity None.
 
     **Example:**
 
@@ -120,18 +121,17 @@ class Swing(NamedTuple):
 class Section:
     """The Poincaré section, which is defined by zeros of a state.
 
-    The state that defines the section is `at`, or by default the `velocity` of the first of the `swings`, and needs a
-    marker. At the section, the state crosses zero upwards if `rising` is True, else downwards. Between two crossings of
-    the section the state must pass the level `rearm(constants)` in the other direction, so that fluctuations about zero
-    do not count. Periodicity is checked on the positions of all `swings`, and on all their velocities but the first. A
-    position is scaled by its amplitude, and a velocity by the amplitude of the position times 2 pi over the time
-    between crossings.
+    The field `at` names the state whose zeros define the section; the default is the `velocity` of the first swing. The
+    scene needs a marker for this state. At the section, the state crosses zero upwards if `rising` is True, else
+    downwards. Between two crossings of the section, the state must pass the level `rearm(constants)` in the opposite
+    direction, so that fluctuations about zero do not count. Periodicity is checked on the positions of all `swings`,
+    and on the velocities of all swings but the first. For this check, a position is divided by its amplitude a, and a
+    velocity by 2 pi a/T, where T is the time between crossings.
 
-    To make a periodically forced motion autonomous, add the phase of the forcing as a state. A guard must reduce the
-    phase of the forcing by one full period, at a phase other than zero. A section at a fixed phase of the forcing is
-    stroboscopic.
+    To make a periodically forced system autonomous, add the phase of the forcing as a state, and an event at a phase
+    other than zero that reduces the phase by one full period.
 
-    If `typical(constants)` returns typical magnitudes of the positions by name, repeats are detected as in a
+    If `typical(constants)` returns typical magnitudes of the positions by name, periodic motions are detected as in a
     `vj.System`.
 
     **Example:**

@@ -28,7 +28,7 @@ class DrillingConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class Drilling(VibroImpact, OnRock):
-    """The vibro-impact drill whose impacts drive the bit into the rock, without feedback, as in the source.
+    """The vibro-impact drill whose impacts drive the bit into the rock, without feedback, as in Batako's thesis.
 
     The bit's normal motion is m1 x3'' + c3 x3' = -N + J (source, eqs. 5.18, 6.1 to 6.3). The rock does not act on the
     drill: the contact is the same as in the vibro-impact scene.
@@ -83,9 +83,10 @@ class Drilling(VibroImpact, OnRock):
 
 @dataclass(frozen=True)
 class CoupledDrilling(Drilling):
-    """The drilling scene in which the bit's normal motion acts back on the contact (recommendation 1 of the source).
+    """The drilling scene in which motion of the bit normal to the rock changes the contact force.
 
-    The contact's compression is x2 - delta - (x3 - x4). The drive follows the hole, so the depth does not open the gap.
+    The contact's compression is x2 - delta - (x3 - x4). The drive follows the hole, so the depth does not open
+    the gap. This coupling is recommendation 1 of Batako's thesis.
     """
 
     name = "coupled-drilling"

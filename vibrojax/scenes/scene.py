@@ -33,30 +33,29 @@ class Scene(ABC, Generic[C]):
     """A hybrid dynamical system.
 
     A scene is a frozen dataclass. The fields of a scene are options with one value for all lanes, such as a friction
-    law. A scene defines the attributes and abstract methods below. Capabilities that only some scenes have are in
-    [vibrojax.scenes.capabilities][].
+    law. A scene defines the attributes and abstract methods below.
 
-    All methods of a scene are pure and take arrays of one shape (lanes). The method `field` and the functions of guards
-    also take Taylor series, so write them with +, -, *, / and [vibrojax.physics.elementary][].
+    All methods of a scene are pure functions; all arrays that they take have the shape (lanes,). The method `field` and
+    the functions of guards also take Taylor series, so write them with +, -, *, / and [vibrojax.physics.elementary][].
 
     - `name`: name of the scene in sweep files.
-    - `states`: the continuous states; `modes`: the discrete states, floats such as 0, 1, -1.
-    - `markers`: states, mostly velocities, at whose zeros steps end.
+    - `states`: the continuous states; `modes`: the discrete states, with values such as 0.0, 1.0, -1.0.
+    - `markers`: states, mostly velocities; a time step ends where one of these states crosses zero.
     - `section`: the Poincaré section; None if quantities are measured over the pulses of a prescribed force.
     - `starts`: names of the initial conditions, the default first.
-    - `start_states`: states whose values a vector of initial conditions contains; the other states begin at zero. For a
-      scene with a single initial condition, `start_states` is empty.
+    - `start_states`: the states that a vector of initial conditions specifies, in order; all other states begin at
+      zero.
     - `measures`: the gauges (groups of measured quantities) of the scene, as objects or names.
     - `choices`: for each option that users specify by name, a registry of values by name. An option that is a field of
-      the dataclass, such as `friction`, takes the registry's value. An option that is not a field, such as `rock`, sets
-      the parameters that are attributes of its value, such as `threshold` and `k3`. A subclass extends the registry of
-      its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
-    - `choice_meanings`: description, for datasets, of each option that sets several parameters.
+      the dataclass, such as `friction`, takes the registry's value. The value of an option that is not a field, such as
+      `rock`, is an object whose attributes, such as `threshold` and `k3`, become parameters of the scene. A subclass
+      extends the registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
+    - `choice_meanings`: for each option that sets several parameters, the `long_name` of its variable in datasets.
     - `autonomous`: True if the equations do not depend on time.
-    - `clocks`: states and guards that depend on time alone, and so cannot be grazed.
-    - `usual_times`: default times of settling and of the observation [s].
+    - `clocks`: states and guards that depend on time alone, so that no orbit can graze them.
+    - `usual_times`: default settling time and default duration of the observation [s].
     - `ends_at_once`: True if a mode may begin with a negative guard, so that it ends immediately.
-    - `fault_reasons`: reasons for which a mode can fail, among the flags of the variable `reason`.
+    - `fault_reasons`: flags of the dataset variable `reason` that state why a motion cannot continue.
     - `drifting`: states that grow without bound and do not affect other states; the return map leaves these states out.
     - `redundant`: states that the method `on_surfaces` computes from the other states.
 
@@ -108,7 +107,10 @@ class Scene(ABC, Generic[C]):
         """Return the mode in which the motion continues from `state`."""
 
     def on_surfaces(self, c: C, mode: Values, state: Values) -> Values:
-        """Return the initial state on the surfaces to which `mode` confines the motion; by default, unchanged."""
+        """Return the initial state, moved onto the surfaces to which `mode` confines the motion.
+
+        By default, the state is returned unchanged.
+        """
         return state
 
     @abstractmethod

@@ -46,11 +46,12 @@ class RunSettings(Settings):
     )
     method: str | Stepper = setting("located", "stepping method: located or smoothed", read=_read_method)
     step: float | None = setting(
-        None, "length of the steps [s]; by default it is derived from error", unit="s", above=0.0
+        None, "length of the steps [s]; by default it is derived from the setting error", unit="s", above=0.0
     )
     smoothing: float | None = setting(
         None,
-        "width in velocity [m/s] over which the smoothed method smooths friction; by default it is derived from error",
+        "range of velocities [m/s] over which the smoothed method spreads the jump of friction; by default it is "
+        "derived from the setting error",
         unit="m s-1",
         above=0.0,
     )

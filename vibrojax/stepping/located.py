@@ -48,7 +48,7 @@ LEAST_ORDER = 2
 
 @dataclass(frozen=True)
 class Located(Stepper):
-    """The stepper that ends a step on every event, by Taylor series up to `order`.
+    """A stepper that integrates by Taylor series up to `order`, and ends a step at every event.
 
     Of the settings in `Accuracy`, the stepper `Located` uses `stride`, `tolerance` and `step`.
 

@@ -59,7 +59,7 @@ def _hermite(start: Array, end: Array, rate: Array, end_rate: Array) -> list[Arr
 
 @dataclass(frozen=True)
 class Smoothed(Stepper):
-    """The stepper that spreads the jump of dry friction over a width, with Runge-Kutta steps of fixed length.
+    """A stepper that spreads the jump of dry friction over a width of speeds, with Runge-Kutta steps of fixed length.
 
     Of the settings in `Accuracy`, the stepper `Smoothed` uses `smoothing` [m/s], `step` [s] and, for a stiff contact,
     `stride`.

@@ -41,7 +41,7 @@ class Lane(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A completed time step, from which gauges measure.
+    """A completed time step, from which gauges compute their quantities.
 
     - `before`, `mode`: state and mode at the start of the step; `after`: state at the start of the next step.
     - `polynomials`: `polynomials[i][k]` is the coefficient of s^k in the polynomial of state i, where s = time/h runs
@@ -104,7 +104,7 @@ class AccuracyRequest(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The time `end` [s] until which lanes step, and a mask of the lanes that are `moving`."""
+    """The limit of an integration: its `end` [s], and `moving`, a mask of the lanes that have not finished."""
 
     end: Real
     moving: Flags
@@ -118,13 +118,13 @@ class Stepper(ABC):
 
     - `name`: name of the stepper in sweep files.
     - `order`: order of the integration method; `degree`: degree of the polynomials that describe a step.
-    - `coarser_by`: ratio between check run and main run of the tolerance or smoothing width; the error is estimated
-      from the check run.
-    - `check_settles`: additional settling time of the check run of a settled lane, as a fraction of the lane's settling
-      time. If it is zero, the check run is extrapolated from its returns, so main run and check run must be close.
+    - `coarser_by`: tolerance (or smoothing width) of the check run divided by that of the main run; the error is
+      estimated from the check run.
+    - `check_settles`: how much longer a lane settles in its check run than in its main run, as a fraction of the
+      settling time. If `check_settles` is zero, the check run must stay close to the main run.
     - `smooths`: True if the stepper smooths dry friction over a width, so that the bit never sticks.
     - `rests`: True if the stepper treats motion within rounding error as rest, and rejects lanes that are too stiff or
-      too slow for their precision.
+      too slow for the floating-point precision.
 
     **Example:**
 
@@ -160,7 +160,7 @@ class Stepper(ABC):
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
-        """Return the lanes after one step, and this step, which ends on guards, and on markers if `marked` is true."""
+        """Return the lanes after one step, and the step, which ends at a guard or, if `marked` is true, at a marker."""
 
     @abstractmethod
     def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:

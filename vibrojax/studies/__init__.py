@@ -21,12 +21,13 @@ HOMES = {
 
 WORDS = {
     "lane": "one simulation of a sweep, with one set of parameter values and one start (initial condition)",
-    "section": "the Poincaré section: the instant at which the bit overtakes the drive",
+    "section": "the Poincaré section: the instant at which the bit becomes faster than the drive",
     "return": "one crossing of the Poincaré section; the length of a cycle is counted in returns",
-    "relief P/D": "mean force on the bit over the force D (threshold) at which the rock yields",
+    "relief P/D": "mean force on the bit, divided by the force D (threshold) at which the rock yields",
     "regime": "the kind of motion of the striker, such as single-impact (one impact per period) or irregular",
     "orbit": "a motion that repeats exactly; it is stable if it attracts all neighbouring motions",
-    "multiplier": "growth per period of a small distance from an orbit; if all moduli are below 1, the orbit is stable",
+    "multiplier": "complex factor by which a small deviation from an orbit grows per period; if the moduli of all "
+    "multipliers are below 1, the orbit is stable",
     "family": "the stable and unstable orbits that form a continuous curve as one parameter changes",
     "branch": "a part of a family; branch 0 is the first, and others begin at period doublings and branch points",
     "special point": "a point of a family at which its stability, its direction or the order of events changes",
@@ -36,7 +37,7 @@ WORDS = {
     "branch-point": "another family of orbits crosses, such as the symmetric one of a pair that loses its symmetry",
     "grazing": "an impact appears or vanishes",
     "stick": "a stick phase of the bit, or a backward slip, appears or vanishes",
-    "section point": "the bit barely overtakes the drive; beyond this point, the number of returns changes",
+    "section point": "the bit barely becomes faster than the drive; beyond it, the number of returns changes",
     "hopf": "the amplitude of the orbit shrinks to zero at an equilibrium, whose stability changes there",
     "end": "a bound is reached, or the family ends for the reason in the note",
     "reading R1, R2, ...": "this package's interpretation of a passage of Batako's thesis that can be read in two ways",

@@ -102,7 +102,7 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     **Arguments:**
 
     - `scenes`: names of the scenes to measure; by default all scenes, or two scenes if `quick`.
-    - `quick`: True to run only a few settings and lanes, in some seconds, as a test of the installation.
+    - `quick`: True to run only a few settings and lanes, which takes a few seconds, as a test of the installation.
 
     **Returns:** a dataset along the dimension `setting`, with run times, errors, and reasons of failures. Each setting
     has the coordinates `scene`, `method`, `precision`, `varied` (name of the varied quantity) and `value` (value of
@@ -344,7 +344,7 @@ def work_precision(ds: xr.Dataset) -> Picture:
     machine = {"processor": "machine unknown", "cores": "?", "jax": "?"} | table_of(ds, "machine")
     computer = printable("{processor}, {cores} cores, jax {jax}".format(**machine), 180)
     title, size = title_of(ds, "Speed against error"), (3.1 * wide + 2.2, 3.0 * deep + 0.35)
-    return Sheet(plots, size, (1.0,) * wide, (1.0,) * deep, [keys], title, computer)
+    return Sheet(plots, size, keys=[keys], title=title, note=computer)
 
 
 def _layers(ds: xr.Dataset) -> list[Layer]:

@@ -30,7 +30,7 @@ Source = Any
 
 
 class SummaryPart(NamedTuple):
-    """One part of a summary, with a `name`: the `lines` of its text, and the same content as `facts` by JSON key.
+    """One part of a summary: its `name`, its text as `lines`, and the same content as `facts`, a dict for JSON.
 
     **Example:**
 
@@ -98,16 +98,17 @@ class Analysis(Settings):
     """
 
     subject: ClassVar[str] = "sweep"
-    """Input that the command takes: "sweep", "machines" (SCENE NAME=VALUE) or "file"."""
+    """Input of the command: "sweep", "machines" (a scene with parameters, as SCENE NAME=VALUE) or "file".
+    """
 
     kind: ClassVar[str] = ""
-    """The attribute `kind` of the datasets, and the name of the command."""
+    """Value of the attribute `kind` of the analysis's datasets, and name of the command."""
 
     command: ClassVar[str] = ""
-    """Name of the command, if it differs from the kind."""
+    """Name of the command, if it differs from `kind`."""
 
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """Variables by name that the analysis adds to its datasets, with unit, meaning, type and flags."""
+    """A dict of the variables that the analysis adds to its datasets, with unit, meaning, type and flags."""
 
     pictures: ClassVar[Sequence[PictureRule]] = ()
     """Rules that choose the picture of a dataset; the first rule that fits applies."""
@@ -135,7 +136,7 @@ class Analysis(Settings):
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
         """Draw a dataset of this kind; `over`: datasets that are drawn on top.
 
-        **Raises:** `InputError` if the dataset holds nothing to draw, or if overlays are given for a picture without
+        **Raises:** `InputError` if the dataset holds nothing to draw, or if `over` is given and the picture accepts no
         overlays.
         """
         from vibrojax.pictures.draw import draw
@@ -195,8 +196,9 @@ class Analysis(Settings):
         """Return a dataset of this kind with title, provenance and history; known variables receive units and meanings.
 
         **Arguments:** `variables`: (dimensions, values) by name; a variable that the class attribute `variables` does
-        not describe needs (dimensions, values, attributes). `coords`: coordinates in the same form. `of`: the sweep
-        whose scene and parameters the dataset states. `attributes`: further dataset attributes, such as `title`.
+        not describe needs (dimensions, values, attributes). `coords`: coordinates in the same form. `of`: a sweep,
+        whose scene and parameters are recorded in the dataset. `attributes`: further dataset attributes, such as
+        `title`.
         """
         title, command = str(attributes.pop("title", self.kind)), self.command or self.kind
         if of is None:
@@ -221,8 +223,8 @@ def analyse(source: Source, analysis: Analysis | Any, progress: bool = True) -> 
     **Arguments:**
 
     - `source`: input of the analysis: a dataset, or a sweep as `run_sweep` accepts it.
-    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. After a call of `analyse`, `picture`
-      and other functions accept the datasets of the analysis in the same process.
+    - `analysis`: instance of a subclass of [vibrojax.studies.analysis.Analysis][]. Once `analyse` has been called,
+      functions such as `picture` accept the datasets of the analysis, within the same process.
 
     **Returns:** the dataset, with the attribute `kind`.
 

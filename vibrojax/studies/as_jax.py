@@ -85,6 +85,8 @@ class Branch:
 
         The features of a point are the same bit for bit, whatever the other points are.
         """
+        if not len(x):
+            return self.unknown(0)
         with self._lock, np.errstate(all="ignore"):
             keys = [row.tobytes() for row in x]
             new = {key: row for key, row in zip(keys, x, strict=True) if np.isfinite(row).all()}
@@ -295,16 +297,17 @@ def as_jax(
         f(jnp.array([0.4, 0.75]))  # {"impact_energy": ..., "margin": ..., "grazing_margin": ..., "valid": ...}
         jax.grad(lambda x: f(x)["impact_energy"])(jnp.array([0.4, 0.75]))
 
-    The first call of the returned function finds the orbit on which the motion settles, at the point of the call or at
-    the point given as `at`. Every further call continues the first orbit on the straight line to its own point, so a
-    result does not depend on other calls. The gradients equal the derivatives by [vibrojax.sensitivity][]. `jax.grad`,
-    `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features without the boolean `valid`:
-    `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second derivatives are not available.
+    The first call of the returned function finds the orbit on which the motion settles at the *first point*: `at`, or
+    the point of the call. Every further call continues the first orbit along the straight line from the first point to
+    the point of the call, so its result does not depend on other calls. The gradients equal the derivatives by
+    [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features
+    without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second
+    derivatives are not available.
 
     The returned function is valid at points that `simulate` accepts and at which the orbit exists, is stable, and keeps
     its numbers of section crossings and impacts. At a point that is not valid, the function returns the values of the
-    last valid orbit on the straight line to the point. An orbit that becomes unstable is continued, and its `margin` is
-    then positive, so that stability can be a smooth constraint.
+    last valid orbit on the straight line from the first point. An orbit that becomes unstable is continued, and its
+    `margin` is then positive, so that stability can be a smooth constraint.
 
     Orbits are computed in float64 for any type of the argument. Results have the type of the argument, at least
     float32.
@@ -321,9 +324,9 @@ def as_jax(
     **Returns:** a function of an array (parameters,), which returns a dict of scalars: the requested features,
     `margin`, `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
     multipliers, and is negative if the orbit is stable. `grazing_margin` is the distance of the orbit from a change in
-    the order of events. Features and their gradients are NaN if no motion from `start` is periodic at the first point
-    or near it, or if the orbit lacks the feature, such as the impact velocity without impacts. Pickling the function
-    keeps its first orbit.
+    the order of events. Features and their gradients are NaN if the motion from `start` is not periodic at or near the
+    first point, or if the orbit does not have the feature; for example, an orbit without impacts has no impact
+    velocity.
 
     **Raises:** `InputError` for an unknown name or a wrong value.
 

@@ -95,36 +95,38 @@ def attractors(
         att = vj.attractors(ds)
 
     Two periodic lanes of a grid point have the same motion if their orbits are equal; two irregular lanes have the same
-    motion if their statistics over a longer observation agree, within the resolution in the attribute `attractors`.
+    motion if their statistics over a longer observation agree, within the resolution that the dataset's attribute
+    `attractors` states.
 
     Motions at neighbouring grid points belong to one attractor if continuation from one point to the other turns the
-    first orbit into the second. At a pitchfork, the symmetric orbit has the number of one of its twins. Attractor 0 has
-    the greatest fraction of initial conditions over the grid. The numbers of the attractors do not depend on the order
-    of values on an axis.
+    first orbit into the second. At a pitchfork bifurcation, the symmetric orbit and one of the two asymmetric orbits
+    that replace it count as the same attractor. Attractor 0 has the greatest fraction of initial conditions over the
+    grid.
 
     **Arguments:**
 
-    - `source`: dataset of a sweep with several starts, or a sweep as `run_sweep` accepts it. The sweep is run again if
-      its dataset lacks orbits. If the sweep has `lyapunov = true`, irregular lanes that had not settled are left out.
+    - `source`: dataset of a sweep with several starts, or a sweep as `run_sweep` accepts it. If the dataset has no
+      orbits, its sweep is run again. If the sweep has `lyapunov = true`, irregular lanes that had not settled are left
+      out.
 
     **Returns:** a dataset.
 
-    - Variables over the grid and `attractor`: `share`, the fraction of initial conditions (basin stability), and its
-      binomial standard error `share_stderr`, an upper bound for Sobol samples; `regime`, the most frequent regime of
-      the attractor's lanes; `cycles`, the period of the attractor's orbit in returns (0 without an orbit). Where the
-      attractor does not exist, `share` is 0, and so are `regime` and `cycles`, as all undefined integers. `period`,
-      `impacts` and `impact_velocity` are medians over the lanes, from the longer observation if they are irregular.
-      `impact_power`, `stick_slip_index` and `specific_energy` are medians from the sweep's observation;
-      `blow_frequency` follows from `impacts` and `period`. `orbit_x1` and so on are one point of the orbit on the
-      section.
+    - Variables over the grid and `attractor`: `share` is the fraction of initial conditions that lead to the attractor
+      (basin stability). `share_stderr` is the binomial standard error of `share`; for Sobol samples, it is an upper
+      bound. `regime` is the most frequent regime of the attractor's lanes. `cycles` is the period of the attractor's
+      orbit in returns (0 without an orbit). Where the attractor does not exist, `share`, `regime` and `cycles` are 0.
+      `period`, `impacts` and `impact_velocity` are medians over the lanes; for irregular lanes, the values come from a
+      longer observation. `impact_power`, `stick_slip_index` and `specific_energy` are medians from the sweep's
+      observation. `orbit_x1` and so on are one point of the orbit on the section.
     - Variable over the grid, `unassigned`: number of initial conditions without an attractor, because the lane failed,
       was undecided, had not settled or did not converge, or because no orbit was found.
     - Variable over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
-    - Variables over the grid and `named_start`, if the initial conditions are a sample or a plane: `named_attractor`
-      and `named_regime`, the attractor and the regime to which the initial conditions `drive` and `stuck` of the scene
-      lead. The named initial conditions do not count in `share`.
+    - Variables over the grid and `named_start`, if the initial conditions are a sample of a box or a plane of states:
+      `named_attractor` and `named_regime` are the attractor and the regime of the motions from the scene's initial
+      conditions `drive` and `stuck`. These two motions do not count in `share`.
 
-    **Raises:** `InputError` unless the source is a sweep over a grid and several starts, of a scene with a section.
+    **Raises:** `InputError` unless the source is a sweep over a grid with several initial conditions, and its scene has
+    a section.
 
     **Example:**
 
@@ -236,7 +238,7 @@ def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
             plots.append(Plot(layers, across, up, "" if i else title, place, at(facet)))
     size = _PANEL[0] * wide + 1.8, _PANEL[1] * rows * len(names) + 0.8
     plots.sort(key=lambda plot: plot.place)
-    return Sheet(plots, size, (1.0,) * wide, (1.0,) * (rows * len(names)))
+    return Sheet(plots, size)
 
 
 def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:

@@ -51,34 +51,38 @@ def borders(
     at: Mapping[str, float] | None = None,
     progress: bool = True,
 ) -> xr.Dataset:
-    """Find the curves in a parameter plane on which the stable single impact ends, and the cause of each border.
+    """Find the borders of the region with a stable single impact in a parameter plane, and the cause of each border.
 
         cur = vj.borders(ds)
 
-    The function continues the single-impact orbits of the sweep along the edges of the grid, and locates a vertex where
-    such an orbit ends or loses its stability. Curves through vertices bound the region in which an initial condition
-    leads to a stable single impact, and the region of all stable single impacts.
+    The function continues the sweep's single-impact orbits from each grid point to its neighbours. Where an orbit ends
+    or loses its stability between two grid points, the function locates a vertex of a border. The borders enclose the
+    region where a given initial condition leads to a stable single impact, and the larger region where a stable single
+    impact exists.
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep with a grid, or a sweep as in `run_sweep`. A sweep without orbits is run again.
-    - `axes`: the two axes of the plane; by default gamma and beta, else the two axes with the most values.
+    - `source`: the dataset of a sweep with a grid, or a sweep as in `run_sweep`. If the dataset has no orbits, its
+      sweep is run again.
+    - `axes`: the two axes of the plane; by default gamma and beta if the sweep varies both, else the two axes with the
+      most values.
     - `at`: a value of either parameter, such as `{"beta": 0.5}`; the points at which continued borders cross this value
       are located.
 
     **Returns:** a dataset.
 
     - Variables along `vertex`, in order on each curve: both parameters, and `curve`, a number for each curve.
-    - Variables along `curve`: `kind`, and the coordinates `start` (the initial condition, or "any" for all orbits) and
-      the values of the sweep's other axes. Beyond a *basin* border the orbit exists, but the initial condition no
-      longer leads to this orbit; beyond a *not-settled* border, the motion had not settled. The flag `continued` is 1
-      if the curve was continued from the point `seed_NAME`, else 0. The text `curve_note` states why the curve ends, or
-      why it was not continued. The attribute `begun_from` describes the grid of the sweep.
-    - Variables along `crossing`, if the argument `at` is given: `crossing_curve`, and `crossing_NAME` for both
-      parameters.
+    - Variables along `curve`: `kind`, with the coordinates `start` (the initial condition, or "any" for all orbits) and
+      the values of the sweep's other axes. Beyond a border of the kind *basin*, the orbit exists, but the initial
+      condition does not lead to it; beyond a border of the kind *not-settled*, the motion had not settled by the end of
+      its simulation. The flag `continued` is 1 if the curve was continued from the point `seed_NAME`, and 0 if not. The
+      text `curve_note` states why the curve ends, or why it was not continued. The attribute `begun_from` describes the
+      grid of the sweep.
+    - Variables along `crossing`, if the argument `at` is given: `crossing_curve` (number of the curve), and
+      `crossing_NAME` (value of each parameter).
     - Variables along `region`: `region_area`, the fraction of the plane with a stable single impact, with the
-      coordinates `region_start` and so on. Variable along `region` and `cell`: `region_stable`, which is 1 at the grid
-      points (`cell_NAME` of both parameters) with a stable single impact.
+      coordinates `region_start` and so on. Variable along `region` and `cell`: `region_stable` is 1 at grid points with
+      a stable single impact; `cell_NAME` are the two parameters of a grid point.
 
     **Raises:** `InputError` if the source is not a sweep over a grid of two parameters, or if the scene has no impacts.
 
@@ -325,7 +329,7 @@ def _stable_cells(ds: xr.Dataset, region: int, x: str, y: str) -> tuple[Cells, d
 
 @dataclass(frozen=True)
 class Borders(SweepAnalysis):
-    """Find the curves in a parameter plane on which the stable single impact ends, and the cause of each border."""
+    """Find the borders of the region with a stable single impact in a parameter plane, and the cause of each border."""
 
     axes: tuple[str, str] | None = field(
         default=None,

@@ -301,23 +301,23 @@ def _percent(share: float) -> str:
 
 
 def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool = True) -> xr.Dataset:
-    """Estimate parameters of a drill from observations of its motion, with gradients that pass through all events.
+    """Estimate parameters of a drill from observations of its motion.
 
         runs = {"v": [1.2, 1.5, 1.8], "period": [...], "impact_velocity": [...]}
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
     Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed
-    variables of the orbit (period, forces, velocities, powers, rates). From the best of several sampled motions, the
-    orbit is continued to all rows, and SciPy's `least_squares` minimises the residuals with the derivatives of the
-    orbits. Rows without a stable orbit at the end of a search are left out. Of several searches, the result with the
-    greatest likelihood is kept.
+    variables of the orbit (period, forces, velocities, powers, rates). The orbit of the best of several sampled motions
+    is continued to the operating conditions of each row. SciPy's `least_squares` minimises the residuals, with
+    derivatives of the orbits through all impacts and stick phases. Rows without a stable orbit at the end of a search
+    are left out. Of several searches, the result with the greatest likelihood is kept.
 
     The data may also be a recording of the bit's velocity over time, instead of rows or in addition to rows. A
     recording is compared with a simulated motion, whose initial state is estimated too, unless it is given.
 
         vj.calibrate({"scene": "rotary", "history": "bit.csv", "unknown": {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}})
 
-    **Arguments:** `source`: path of a TOML file, or a dict, with
+    **Arguments:** `source`: path of a TOML file, or a dict. It has these entries:
 
     - `scene`, `start`, `[parameters]`: as in `simulate`.
     - `data`: path of a CSV file or, in a dict, a table. The headers are names of parameters and variables, with units

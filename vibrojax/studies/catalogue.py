@@ -22,7 +22,7 @@ from vibrojax.studies import glossary
 
 
 def list_scenes() -> "pd.DataFrame":
-    """Return a table of the scenes by name: description, states and named initial conditions.
+    """Return a table with the description, the states and the named initial conditions of each scene.
 
     **Example:**
 
@@ -42,12 +42,12 @@ def scene_rows() -> dict[str, dict[str, str]]:
 
 
 def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of a scene's parameters, including parameters of friction laws, and alternatives such as `rpm`.
+    """Return a table of a scene's parameters, including those of friction laws, and substitutes such as `rpm` for `v`.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. The
-    column `usual` is the range in the source and on drilling rigs; values far outside the usual range cause a warning.
-    The column `where` is the friction law or pulse shape to which the parameter belongs, and is empty if the scene
-    always has the parameter.
+    column `usual` is the range in Batako's thesis and on drilling rigs; values far outside the usual range cause a
+    warning. The column `where` is the friction law or pulse shape to which the parameter belongs, and is empty if the
+    scene always has the parameter.
 
     **Raises:** `InputError` if the scene does not exist.
 
@@ -63,11 +63,11 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     for choice, parameters in choices.items():
         groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
     for name, parameter in substitutes(names.parameters).items():
-        partner = {"rpm": "with bit_radius, ", "bit_radius": "with rpm, "}.get(name, "")
-        where = f"{partner}in place of {REPLACED[name]}"
+        partner = {"rpm": ", together with bit_radius", "bit_radius": ", together with rpm"}.get(name, "")
+        where = f"given in place of {REPLACED[name]}{partner}"
         if name == "bit_radius" and isinstance(names.system, HasRock):
             parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
-            where = "for specific_energy, or with rpm in place of v"
+            where = f"needed for specific_energy, or {where}"
         groups.append((where, [parameter]))
     rows = [
         {
@@ -96,7 +96,7 @@ def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
     **Example:**
 
     >>> vj.list_variables("drilling").loc["relief", ["units", "meaning"]].tolist()
-    ['1', 'mean force over threshold, P/D']
+    ['1', 'mean force divided by the threshold, P/D']
     """
     from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
     from vibrojax.lanes.labels import of_orbits, sweep_variables

@@ -43,32 +43,31 @@ def picture(
     diagram: str | None = None,
     width: str | float | int | None = None,
 ) -> Figure:
-    """Draw the picture that fits a dataset.
+    """Draw a dataset as a picture that suits its contents.
 
     **Arguments:**
 
     - `ds`: dataset of `simulate`, of a sweep, or of an analysis.
-    - `variable`: name of the variable to draw over all varied axes; or a list of up to four names (eight for a result
-      of `simulate`). The variable "return_x", a state at the returns, gives a bifurcation diagram of x.
+    - `variable`: name of the variable to draw, or a list of up to four names (eight for a result of `simulate`). The
+      variable "return_x", the state x at the section crossings, gives a bifurcation diagram.
     - `where`: value of each axis or coordinate by name, in the units of the dataset; only lanes with these values are
       drawn. Example: `{"delta": 0.005, "start": "stuck"}`. Selected values must agree with the dataset to four digits.
       At most 300,000 lanes are drawn.
-    - `colours`: name of a matplotlib colour map for quantities; regimes, formulas of the fitted law and initial
-      conditions keep their colours.
-    - `over`: datasets to draw on top of the picture. A result of `follow` is drawn over the section crossings of a
-      sweep along the same parameter, with or without `carry`. A result of `borders` or `curves` is drawn over a map of
-      regimes.
+    - `colours`: name of a matplotlib colour map for quantities. Regimes, initial conditions and the forms of a fitted
+      law always have the same colours.
+    - `over`: datasets to draw on top of the picture. A result of `follow` can be drawn on top of a bifurcation diagram
+      of a sweep over the same parameter, and a result of `borders` or `curves` on top of a map of regimes.
     - `diagram`: name of a diagram, in place of the default picture. The diagram "campbell" shows the frequencies of a
-      sweep's motions, the natural frequencies and the multiples of the rotation frequency over the speed.
-      "rate-over-force" draws the rate of penetration over the mean force, and "chart" draws the region of the robust
-      single impact over two parameters.
+      sweep's motions, the natural frequencies and the multiples of the rotation frequency as functions of the speed.
+      "rate-over-force" shows the rate of penetration as a function of the mean force, and "chart" the region of the
+      robust single impact in a plane of two parameters.
     - `width`: width of the picture, as a text such as "85mm" (a journal column) or "170mm" (a page), or as a number of
       millimetres.
 
-    **Returns:** a figure that pyplot does not manage.
+    **Returns:** a matplotlib figure, which pyplot does not manage.
 
     **Raises:** `InputError` if the dataset holds nothing to draw, if a variable, axis, value or colour map does not
-    exist, or if the picture accepts no such overlay.
+    exist, or if the picture cannot be combined with the datasets in `over`.
 
     **Example:**
 
@@ -118,17 +117,16 @@ def save_picture(
     diagram: str | None = None,
     width: str | float | int | None = None,
 ) -> str:
-    """Save the picture that fits a dataset to a file. The file is written atomically, so it is never incomplete.
+    """Draw a dataset as `picture` does, and save the picture.
 
     **Arguments:**
 
     - `ds`, `variable`, `where`, `colours`, `over`, `diagram`, `width`: as for [vibrojax.studies.choose.picture][].
     - `path`: file name that ends in .png, .pdf or .svg.
 
-    **Returns:** a description of the values that are drawn, or "" if all values are drawn.
+    **Returns:** a text that states which values are drawn, or "" if all are.
 
-    **Raises:** `InputError` for another file extension or a path that cannot be written, and for the errors of
-    `picture`.
+    **Raises:** `InputError` if `path` has another extension or cannot be written, or if `picture` raises it.
 
     **Example:**
 

@@ -81,13 +81,13 @@ def curves(
 
     - Variables along `point`, in order along each curve: `point_curve`, the two parameters, `period` [s] (the mean time
       between section crossings), `cycles`, the state at the section (`orbit_x1` and so on), and the multipliers.
-    - Variables along `curve`: `kind`; `special`, the index of the special point in the family, or -1 if the curve
-      begins at a point of codimension two; `curve_note`, remarks on the first point, on the ends of the curve, and on
-      other special points on the curve.
-    - Variables along `codim2`: `codim2_kind`, such as cusp or grazing-fold, `codim2_curve`, and `codim2_NAME` for both
-      parameters.
-    - Variables along `crossing`, if the argument `at` is given: `crossing_curve`, and `crossing_NAME` for both
-      parameters.
+    - Variables along `curve`: `kind`, `special` and `curve_note`. `special` is the index of the special point in the
+      family, or -1 if the curve begins at a point of codimension two. `curve_note` describes the first point, the ends
+      of the curve, and other special points on the curve.
+    - Variables along `codim2`: `codim2_kind` (such as cusp or grazing-fold), `codim2_curve` (number of the curve), and
+      `codim2_NAME` (value of each parameter).
+    - Variables along `crossing`, if the argument `at` is given: `crossing_curve` (number of the curve), and
+      `crossing_NAME` (value of each parameter).
 
     **Raises:** `InputError` for an invalid name or value.
 
@@ -322,10 +322,10 @@ def _orbit_at(spec: CurvesSpec, index: int) -> tuple[int, Float[np.ndarray, " st
             point = int(places(family, branch)[list(branch.special).index(index)])
             apart = abs(family[spec.along].values[point] - family["special_value"].values[index])
             if apart > SAME_VALUE * (spec.first_span[1] - spec.first_span[0]):
-                raise InputError(f"curves: special: the point of {index} is not in the family; give the whole family")
+                break
             names = map(orbit_name, spec.scene.driving_part().return_states)
             return int(family["cycles"].values[point]), np.array([float(family[name].values[point]) for name in names])
-    raise AssertionError(index)
+    raise InputError(f"curves: special: the point of {index} is not in the family; give the whole family")
 
 
 def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve]) -> xr.Dataset:

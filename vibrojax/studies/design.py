@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vibrojax.errors import counted
+from vibrojax.errors import InputError, counted
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.maps.dataset import coordinates, shared_attributes
 from vibrojax.maps.read import read_sweep
@@ -63,7 +63,7 @@ def design_picture(ds: xr.Dataset) -> Sheet:
     what = f"Best: {_best_text(ds)} at {_place_text(best, names)}"
     required = str(ds.attrs.get("requirements", "")).replace(" ± ", "\u00a0±\u00a0")
     about = margins(ds, point=f"{what}. Requirements: {required}")
-    return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), (1.0,) * columns, (1.0,) * rows, **about)
+    return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), **about)
 
 
 def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
@@ -258,7 +258,10 @@ class Designs(FileAnalysis[DesignSpec]):
         own: dict[str, Any] = {
             name: tables[name] for name in ("scene", "parameters", "starts", "run") if name in tables
         }
-        sweep = read_sweep({**own, "points": points, "unusual": True})
+        try:
+            sweep = read_sweep({**own, "points": points, "unusual": True})
+        except InputError:  # a system without a name
+            return None
         names = [name for name in ds.data_vars if ds[name].dims == ("candidate",)]
         lanes = ds[names].rename(candidate=POINT).assign_coords(coordinates(sweep, {}))
         return lanes.assign_attrs(shared_attributes(sweep, self.kind, str(ds.attrs.get("title", "")), self.kind)), sweep
@@ -335,8 +338,7 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
         best.isel(candidate=0)
 
     All candidates are simulated from every start, at all corners of the tolerance box and at 256 random points inside
-    it. Worst values are computed over the simulated samples, not over the whole tolerance box. If `irregular_share` is
-    above 0, the worst values also depend on the duration of the observation.
+    it. Worst values are computed over the simulated samples, not over the whole tolerance box.
 
     **Arguments:**
 
@@ -346,12 +348,14 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     **Returns:** a dataset along `candidate`, in which the best candidate comes first:
 
-    - Variables of each candidate: the varied parameters; `objective`, the value at the nominal point from the worst
-      start; `objective_worst`, the worst value over the tolerance box, by which robust designs are ranked; each
-      variable of the `subject` at the nominal point, and its worst value `NAME_worst`; `feasible`.
-    - `gradient` along `parameter`.
-    - Variables along `front`, if the design has a front: the varied limit, `front_objective` and the varied parameters.
-    - along `map`: the coarse map.
+    - For each candidate: the varied parameters. `objective` is the maximised variable at the nominal point, from the
+      worst start. `objective_worst` is its worst value over the tolerance box; robust designs are ranked by
+      `objective_worst`. Each variable in `subject` is given at the nominal point, and `NAME_worst` is its worst value.
+      `feasible` is 1 if all samples meet all requirements.
+    - `gradient` along `parameter`: derivatives of the objective.
+    - Variables along `front`, if the design has the entry `front`: `front_limit` (the limit that is varied),
+      `front_objective` (the best value within this limit) and the varied parameters.
+    - Variables along `map`: the points and values of the coarse map, where the search begins.
 
     **Raises:** `InputError` if the design is invalid, if no point is feasible, or if the objective is 0 at all feasible
     points.

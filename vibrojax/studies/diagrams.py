@@ -48,7 +48,7 @@ def campbell(ds: xr.Dataset) -> Sheet:
     by = axis_of_lines(ds, x.name)
     # The frame ends at zero and a little beyond the data; the rays do not change it.
     values = [ds[name].values for name in (*_MODES, *_MOTIONS) if name in ds]
-    top = 1.05 * max(float(np.nanmax(part)) for part in values)
+    top = 1.05 * max(float(np.nanmax(part, initial=0.0)) for part in values) or 1.0
     places = ds["rpm"].values if turns else np.zeros(1)
     room = 0.05 * float(np.ptp(places))
     low, high = float(places.min()) - room, float(places.max()) + room
@@ -111,7 +111,9 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
             force, rate = (np.atleast_1d(line.lanes[name].values) for name in (_FORCE, RATE))
             group = fit.sel({name: line.lanes[name].item() for name in fit["C"].dims})
             with np.errstate(all="ignore"):
-                threshold = np.nanmedian(force / np.atleast_1d(line.lanes[RELIEF].values))
+                thresholds = force / np.atleast_1d(line.lanes[RELIEF].values)
+            known = thresholds[~np.isnan(thresholds)]  # none of a line of lanes that failed
+            threshold = np.median(known) if known.size else np.nan
             onset = float(group["eta0"]) * threshold
             # The greatest force without penetration below the least force with it, and the latter.
             above = of_force * float(np.min(force[rate > 0], initial=np.inf))

@@ -66,7 +66,7 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     about = f"Lines: intervals of {level} confidence; pairs within theirs of 0 are in brackets"
     shares = np.concatenate([ds[name].values.ravel() for name in ("first_order", "total_order")])
     beyond = "Shares beyond 0 and 1, from too few samples, end there" * bool(((shares < 0) | (shares > 1)).any())
-    return Sheet(plots, size, (1.5, 1.0), (1.0,) * len(of), **margins(ds, about, beyond, further))
+    return Sheet(plots, size, (1.5, 1.0), **margins(ds, about, beyond, further))
 
 
 def _share_plot(row: xr.Dataset, k: int, label: str) -> Plot:
@@ -166,8 +166,10 @@ STUDY_VARIABLES = {
     ),
     "mean": Variable("", "mean of the variable over the parameter box", dims=_OF),
     "std": Variable("", "standard deviation of the variable over the parameter box", dims=_OF),
-    "left_out": Variable("1", "number of base samples that the indices leave out", np.int32, dims=_OF),
-    "corners_left_out": Variable("1", "number of corners that the two-level design leaves out", np.int32, dims=_OF),
+    "left_out": Variable("1", "number of base samples that are not used for the Sobol indices", np.int32, dims=_OF),
+    "corners_left_out": Variable(
+        "1", "number of corners of the parameter box that are not used for effects and interactions", np.int32, dims=_OF
+    ),
     "set_to_zero": Variable(
         "1", "number of lanes without impacts, for which the variable is set to 0", np.int32, dims=_OF
     ),
@@ -241,11 +243,11 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
 
     **Arguments:**
 
-    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has a
-      `scene`, a list `of` variables or "share_single_impact", and a table `[vary]` with NAME = [low, high] for up
-      to twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a sweep, `samples` (number
-      of base samples, a power of two; default 256) and `seed` (default 0). A study of D parameters needs (2 D + 2)
-      lanes per base sample and start.
+    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has the
+      entries `scene`; `of`, a list of variables, which may include "share_single_impact"; and `[vary]`, a table with
+      NAME = [low, high] for up to twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a
+      sweep, `samples` (number of base samples, a power of two; default 256) and `seed` (default 0). A study of D
+      parameters needs (2 D + 2) lanes per base sample and start.
 
     **Returns:** a dataset with the dimensions `of` (the variable), `parameter`, and `other` (the second parameter of a
     pair).
@@ -257,8 +259,9 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
       half the difference between the effects of a parameter at the high and at the low level of another parameter.
     - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of
       lanes with a single impact; `regime_share`: share of lanes in each regime.
-    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes, base samples and corners that are
-      treated by the rules in the attribute `rules`. `sobol_reason`: reason why the dataset lacks Sobol indices.
+    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes that count as 0, of lanes that count
+      with a mean value, and of base samples and corners that are left out; the attribute `rules` states when.
+      `sobol_reason`: reason why the dataset lacks Sobol indices.
 
     **Raises:** `InputError` if the study is invalid or SALib is not installed.
 

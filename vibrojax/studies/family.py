@@ -60,27 +60,27 @@ def follow(
 
         fam = vj.follow("vibro-impact", along="gamma", at=0.75, span=(0.3, 1.6), start="stuck", beta=0.4)
 
-    A family begins at the given `orbit`, at Hopf points of a family of equilibria, or by default at the orbit on which
-    the motion settles at the value `at` of the parameter `along`. If the motion settles at an equilibrium, `follow`
-    continues the family of equilibria. Pseudo-arclength continuation follows the family in both directions, through
-    folds and changes in the order of events, and onto period-doubled branches.
+    By default, a family begins at the orbit on which the motion settles when the parameter named by `along` has the
+    value `at`. A family can also begin at a given `orbit`, or at the Hopf points of a family of equilibria. If the
+    motion settles at an equilibrium, `follow` continues the family of equilibria. Pseudo-arclength continuation follows
+    the family in both directions, through folds and changes in the order of events, and onto period-doubled branches.
 
     **Arguments:**
 
-    - `scene`: name of a scene, or a scene; `parameters`: parameters of the scene (SI), as in `simulate`. For parameters
-      that are sequences of equal length, one family per element is continued, along the dimension `family`.
+    - `scene`: name of a scene, or a scene; `parameters`: parameters of the scene (SI), as in `simulate`. If parameters
+      are sequences of equal length, each element gives one family; the dimension `family` numbers the families.
     - `along`: name of the continuation parameter; `at`: value of this parameter at the first orbit; `span`: lower and
       upper bound of this parameter, which enclose `at`.
     - `start`: initial condition of the motion that settles on the first orbit, by default the first start of the scene.
     - `orbit`: a stable or unstable orbit for the parameter value `at`, as `{"states": [...], "period": ...}`. The
-      states are ordered as in `start`, and belong to the beginning of a forcing period if the system is forced; the
-      period is in seconds. Newton's method corrects the states and the period.
+      states are ordered as in `start`; if the system is forced, they are the states at the beginning of a forcing
+      period. `period` is the period of the orbit [s]. Newton's method corrects the states and the period.
     - `from_hopf`: a family of equilibria, or its file. A branch begins at each Hopf point of the family of equilibria,
       unless another branch has led to the point. With `from_hopf`, the defaults of `along`, `span` and the parameters
       are the values in the family of equilibria, and `at` is not needed.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
       By default, `settle` and `observe` are the default times of the scene.
-    - `cycles`: largest number of section crossings per period on branches from period doublings, from 1 (no such
+    - `cycles`: period-doubled branches are followed up to this number of section crossings per period; 1 (no such
       branches) to 8. With `cycles=0`, `follow` continues equilibria; Newton's method finds the first equilibrium,
       stable or not, near the initial condition.
 
@@ -91,19 +91,17 @@ def follow(
       of the motion, `period` [s] is the mean time between crossings, and `impacts` counts impacts per period of the
       motion. The dataset also has the state at the section (`orbit_x1` and so on) and the measures of the scene.
     - Variables along `special`: `special_kind` (fold, period-doubling, torus, grazing, stick, section, hopf,
-      branch-point, end, or the name of a system's switch), the value of the parameter `special_value`, the number of
-      the branch `special_branch`, and `special_note`.
+      branch-point, end, or the name of a system's switch), `special_value` (value of the parameter), `special_branch`
+      (number of the branch), and `special_note`.
 
-    At a *grazing* point, an impact or another event appears or vanishes, except the beginning or end of a stick phase.
-    For events other than impacts, `special_note` names the mode that changes. Multipliers at a special point are
-    computed on the side from which the point was reached. If orbits exist only on the side without an impact,
-    multipliers at a special point are computed on the side without impact. Where multipliers grow without limit towards
-    a graze, the value of the parameter and the state are extrapolated to the graze; multipliers and `impacts` are those
-    of the last orbit before the graze.
+    At a *grazing* point, an impact or another event appears or vanishes; if a stick phase does, the point is a *stick*
+    point. If the event is not an impact, `special_note` names the discrete states whose events change their order.
+    Multipliers at a special point are computed on the side from which the point was reached, unless orbits exist only
+    on the other side. Where multipliers grow without limit towards a graze, the value of the parameter and the state
+    are extrapolated to it; multipliers and `impacts` are those of the last orbit before it.
 
     Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
-    mirror image of an orbit counts as another orbit. An orbit that does not cross the section has NaN as its state at
-    the section.
+    mirror image of an orbit counts as another orbit.
 
     A family of equilibria has `cycles` 0 and `period` NaN; the states of the equilibrium replace the states at the
     section. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and `eigenvalue_im`

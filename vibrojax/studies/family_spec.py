@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -178,7 +179,7 @@ def read_orbit(place: Place, names: Names, orbit: object) -> tuple[list[float], 
 
 def read_hopf(place: Place, family: object) -> tuple[xr.Dataset, list[HopfPoint]]:
     """Check the argument `from_hopf` of `follow`; return the family of equilibria, and its Hopf points."""
-    if isinstance(family, str | Path):
+    if isinstance(family, str | PathLike):
         family = open_dataset(Path(family))
     if not isinstance(family, xr.Dataset) or kind_of(family) != "family" or "eigenvalue_re" not in family:
         raise place.error("is not a family of equilibria; give what follow(..., cycles=0) has made")

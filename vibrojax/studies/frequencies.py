@@ -29,11 +29,11 @@ _USED = (*_DRILL, *REPLACED, "v")
 
 
 def frequencies(ds: xr.Dataset) -> dict[str, xr.DataArray]:
-    """Return frequencies [Hz], blows per minute and rotation speed [1/min] of a sweep or a trajectory, by name.
+    """Return a dict with the frequencies [Hz], blows per minute and rotation speed [1/min] of a sweep or a trajectory.
 
-    - `bit_frequency`, `striker_frequency`: natural frequencies of bit and striker, each alone on its spring.
+    - `bit_frequency`, `striker_frequency`: natural frequencies of bit and striker alone, each on its own spring.
     - `lower_frequency`, `upper_frequency`: natural frequencies of the coupled bit and striker, without impact and
-      friction (eq. 5.16).
+      friction (Batako's thesis, eq. 5.16).
     - `blow_frequency`: impacts per minute, for lanes that have a period.
     - `rpm`: rotation speed that corresponds to the drive speed, for sweeps with a bit radius.
 

@@ -71,7 +71,7 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
     keys.append(key("greatest push tried", **_BOUND))
     none_leaves = "No push up to the greatest tried leaves the working cycle"
     about = margins(ds, none_leaves if returning and not (leaving or several) else "")
-    return Sheet(plots, (8.6, 2.3 * rows + 0.6), (1.0, 1.0), (1.0,) * rows, [keys], **about)
+    return Sheet(plots, (8.6, 2.3 * rows + 0.6), keys=[keys], **about)
 
 
 def _curves(ds: xr.Dataset, state: str) -> Plot:
@@ -162,17 +162,18 @@ def smallest_push(
 
     The working cycle is the periodic orbit on which the motion settles. A push is a sudden change of one state
     variable, in either direction, when the cycle crosses the section (the bit overtakes the drive). After a push, the
-    motion settles for `settle` seconds (six times as long if it is irregular), and is observed for `observe` seconds. A
-    *leaving push* is a push after which the motion does not return to the working cycle.
+    motion settles for `settle` seconds and is observed for `observe` seconds. A *leaving push* is a push after which
+    the motion does not return to the working cycle.
 
-    Scans try pushes up to a bound, and then below the smallest leaving push, until no smaller leaving push is found.
-    The interval between the smallest leaving push and the next smaller push is then narrowed.
+    Repeated scans search for the smallest leaving push, and the interval between this push and the next smaller push is
+    narrowed.
 
     **Arguments:**
 
     - `scene`: a scene with a drill, or its name; `parameters`: parameters of the scene (SI), as in `simulate`.
-      Sequences of equal length define several machines along the dimension `point`, which are computed in one batch.
-    - `start`: initial condition of the motion that settles on the working cycle, by default the first of the scene.
+      Parameters that are sequences of equal length define several machines, along the dimension `point`.
+    - `start`: initial condition of the motion that settles on the working cycle, by default the scene's first initial
+      condition.
     - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). The default for a position is
       its peak-to-peak range over the cycle, and the default for a velocity is this range times 2 pi/period.
     - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
@@ -404,7 +405,7 @@ class Pushes(MachineAnalysis[Machines]):
             values = [f"{name} = {machine[name].item():g}" for name in varied if machine[name].dtype.kind == "f"]
             lines += [f"{', '.join(values)}:"] if values else []
             regime = meanings[int(machine["regime"])]
-            if not float(machine["bound_x1"]) > 0:
+            if not float(machine[f"bound_{_pushed(machine)[0]}"]) > 0:
                 lines.append(f"no stable cycle ({regime})")
                 continue
             lines.append(f"working cycle: {regime}, {float(machine['period']):.5g} s")

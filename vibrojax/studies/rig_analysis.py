@@ -81,14 +81,15 @@ def rig(
         log = vj.rig("log.csv", columns={"bit_diameter": "8.5 in"})
         vj.picture(log)
 
-    With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate R [m/s] and the area A of a bit
-    of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). The percussive specific
-    energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per second.
+    With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate of penetration R [m/s] and the
+    area A of a bit of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). The
+    percussive specific energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per
+    second.
 
-    The founder point is the weight on the bit above which the rate does not rise; see [vibrojax.fit_rop][].
+    The founder point is the weight on the bit above which the rate of penetration does not rise; see
+    [vibrojax.fit_rop][].
 
-    The variable `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque. A column `stick_slip_index` of
-    the log is copied unchanged.
+    The variable `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque.
 
     **Arguments:** `source`, `columns`, `where`, `nulls`: as for [vibrojax.read_log][]; `units`: units of pictures and
     summaries, "driller" (m/h, rpm, kN, MPa) or "si". The dataset is in SI units.

@@ -63,7 +63,7 @@ _FORM, _LANE = "form", "lane"
 SCHEMA = {
     "C": Variable("m s-1", "coefficient of the rate-of-penetration law", along=_FORM),
     "C_stderr": Variable("m s-1", "standard error of C", along=_FORM),
-    "eta0": Variable("1", "relief at the onset of penetration", along=_FORM),
+    "eta0": Variable("1", "relief (mean force divided by D) at which penetration begins", along=_FORM),
     "eta0_stderr": Variable("1", "standard error of eta0", along=_FORM),
     "exponent": Variable("1", "exponent of the relief", along=_FORM),
     "exponent_stderr": Variable("1", "standard error of the exponent", along=_FORM),
@@ -71,12 +71,12 @@ SCHEMA = {
     "aic": Variable("1", "Akaike criterion n ln(RSS/n) + 2k of n lanes and k coefficients, RSS in m2 s-2", along=_FORM),
     "cv_error": Variable(
         "m s-1",
-        "cross-validation error: root mean square error of predictions for blocks of rows from the other blocks",
+        "root mean square error of the predictions of each block of rows by a fit to all other blocks",
         along=_FORM,
     ),
     "evidence_against": Variable(
         "1",
-        "AIC (log: 2 n ln(cv_error)) minus the value of the best form; above 2 (log: 5.4), a form is rejected",
+        "AIC (rig log: 2 n ln(cv_error)) minus its value for the best form; above 2 (rig log: 5.4), a form is rejected",
         along=_FORM,
     ),
     "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),
@@ -88,7 +88,7 @@ SCHEMA = {
     "reason": Variable("1", "reason why a coefficient is NaN", np.int8, REASONS, along=_FORM),
     "r_squared_reason": Variable("1", "reason why r_squared is NaN", np.int8, REASONS, along=_FORM),
     "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS, along=_FORM),
-    "onset_force": Variable("N", "mean force at the onset of penetration, eta0 D", along=_FORM),
+    "onset_force": Variable("N", "mean force at which penetration begins, eta0 D", along=_FORM),
     "onset_force_stderr": Variable("N", "standard error of onset_force", along=_FORM),
     "founder_weight": Variable("N", "mean force above which the rate of penetration does not rise"),
     "founder_weight_stderr": Variable("N", "standard error of the founder weight"),
@@ -97,7 +97,7 @@ SCHEMA = {
     ),
     "founder_fall_stderr": Variable("m s-1 N-1", "standard error of founder_fall"),
     "noise_correlation": Variable("1", "correlation of the noise of neighbouring rows"),
-    "data_threshold": Variable("N", "mean force at a relief of 1"),
+    "data_threshold": Variable("N", "mean force at which the relief is 1: D, or reference_force if D is unknown"),
     "data_relief": Variable("1", "relief of the lanes that were fitted", along=_LANE),
     "data_rate_of_penetration": Variable("m s-1", "rate of penetration of the lanes that were fitted", along=_LANE),
     "data_use": Variable("1", "treatment of the lane by the fit", np.int8, USES, along=_LANE),
@@ -115,16 +115,16 @@ def fit_rop(
     where: Where = None,
     nulls: Nulls = None,
 ) -> xr.Dataset:
-    """Fit six forms of the rate-of-penetration law to groups of lanes: three readings of eq. 6.4 and three others.
+    """Fit six forms of the rate-of-penetration law to groups of lanes.
 
-    A *form* is a formula for the rate of penetration as a function of the relief. A lane whose rate is zero is
-    censored: it contributes to the residuals only where a form predicts a positive rate. Lanes that failed, are
-    irregular or have no usable values are left out and counted. Standard errors (HC3) are valid for noise of constant
-    size and for noise proportional to the rate.
+    A *form* is a formula for the rate of penetration as a function of the relief. Three forms are interpretations of
+    eq. 6.4 of Batako's thesis. A lane with zero rate of penetration is censored: it contributes to the residuals only
+    if the form predicts a positive rate. Lanes that failed, are irregular or have no usable values are left out and
+    counted. Standard errors (HC3) are valid for noise of constant size and for noise proportional to the rate.
 
-    A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate does not rise, the
-    forms are fitted to the rows below this weight. In logs of 50 rows or more, a jackknife over blocks of rows gives
-    the standard errors, and the cross-validation error `cv_error` compares the forms.
+    A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate of penetration does
+    not rise, the forms are fitted to the rows below this weight. In logs of 50 rows or more, a jackknife over blocks of
+    rows gives the standard errors, and the cross-validation error `cv_error` compares the forms.
 
     **Arguments:**
 
@@ -133,9 +133,9 @@ def fit_rop(
     - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Lanes with equal values on
       all other axes form a group.
     - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
-      `along` names a column, the default is all other columns except mean_force.
+      `along` names a column, `by` defaults to all other columns except mean_force.
     - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation
-      (default for a log). R² and AIC are computed from residuals without the loss function.
+      (default for a log).
     - `columns`: by quantity, the column of a CSV and its unit, such as {"rate_of_penetration": "ROP (m/h)",
       "mean_force": "WOB (kN)"}, or a constant value for all rows, such as {"threshold": "150 kN"}.
       {"rock": "granite"} takes the threshold of that rock. {"threshold": "unknown"} is the default of logs: the median
@@ -143,10 +143,10 @@ def fit_rop(
       force at the onset of penetration.
     - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset with the groups, `form` and `lane` as dimensions. The main variables of a fit are the
-    coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the comparison
-    of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute `verdict` is
-    the form that the data of all groups support, or "none".
+    **Returns:** a dataset with the dimensions `form`, `lane` and those of the groups. The main variables of a fit are
+    the coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the
+    comparison of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute
+    `verdict` is the form that the data of all groups support, or "none".
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 

@@ -136,14 +136,14 @@ def sensitivity(
         s.d_impact_velocity.sel(parameter="beta")  # m/s per unit of beta, in every lane
         vj.sensitivity("vibro-impact", of=["period"], by=["beta"], start="stuck", delta=0.005)  # at one point
 
-    The derivatives follow the orbit as the parameters change. The implicit function theorem gives the derivative of the
-    state s at the section, a fixed point of the return map P: ds/dp = (1 - P_s)^-1 P_p. The features of the orbit are
-    measured over one period, with the tangent (ds/dp, dp) through all events. Unstable orbits have derivatives, too.
+    The implicit function theorem gives the derivative of the state s at the section, a fixed point of the return map P:
+    ds/dp = (1 - P_s)^-1 P_p. The features are measured over one period of the orbit, and the tangent (ds/dp, dp) is
+    propagated with it through all events. Unstable orbits have derivatives, too.
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset lacks orbits (`orbits = true`), its
-      sweep is run again.
+    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset has no orbits, its sweep is run
+      again.
     - Instead of a sweep, `source` can be a scene or its name. For a scene, the function differentiates the orbit on
       which the motion settles for the given `start` and `parameters` (SI, as in `simulate`). A name that denotes both a
       scene and a bundled sweep, such as "drilling", means the scene if further arguments specify a point.
@@ -153,13 +153,14 @@ def sensitivity(
 
     **Returns:** a dataset over the dimensions of the sweep, or without these dimensions for a single point.
 
-    - All variables of the orbits that vary smoothly, such as `period`, `impact_velocity`, `impact_energy`,
-      `impact_power`, `peak_impact_force`, `impact_phase`, `grazing_margin`, `multiplier_abs` along `multiplier`,
-      `log_multiplier` (the natural logarithm of the largest modulus), and `rate_of_penetration` with rock.
+    - The dataset contains all variables of the orbits that vary smoothly, such as `period`, `impact_velocity`,
+      `impact_energy`, `impact_power`, `peak_impact_force`, `impact_phase`, `grazing_margin`, `multiplier_abs` (with the
+      dimension `multiplier`), `log_multiplier` (the natural logarithm of the largest modulus), and, in scenes with
+      rock, `rate_of_penetration`.
     - `d_VARIABLE` along `parameter`: derivative of each variable, in the unit of the variable per unit of the parameter
-      (`parameter_unit`). A derivative is NaN where its variable is not defined, such as the impact velocity without
-      impacts. For a single point, `elasticity_VARIABLE` is the relative change of the variable per relative change of
-      the parameter.
+      (`parameter_unit`). A derivative is NaN where its variable is not defined; for example, a motion without impacts
+      has no impact velocity. For a single point, `elasticity_VARIABLE` is the relative change of the variable per
+      relative change of the parameter.
     - `valid` (0 or 1) and `reason`. *no-orbit*: the lane is not periodic, or no orbit was found. *neutral-orbit*: a
       multiplier is 1, so that the orbit does not depend smoothly on the parameters. *near-grazing*, *near-stick*: an
       impact, or a stick phase, is about to appear or vanish; derivatives hold only very close to the point.

@@ -150,8 +150,7 @@ class SweepAnalysis(Analysis):
     """An analysis of the lanes of a sweep and their periodic orbits.
 
     A subclass of `SweepAnalysis` must define `kind` and `of_lanes`. Override the method `sweep` to accept only some
-    sweeps, and the method `identity` if the result depends on settings. The command of the analysis keeps finished
-    chunks of the sweep until the result is written.
+    sweeps, and the method `identity` if the result depends on settings.
 
     **Example:** the fraction of lanes that settle on a stable orbit
 

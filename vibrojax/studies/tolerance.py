@@ -180,7 +180,7 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
         for name in names
     )
     size = 1.8 + 2.6 * len(names), 0.9 + 2.2 * len(rows)
-    return Sheet(plots, size, (1.0,) * len(names), (1.0,) * len(rows), [keys], **margins(ds, box, note))
+    return Sheet(plots, size, keys=[keys], **margins(ds, box, note))
 
 
 SAMPLE_VARIABLES = {
@@ -252,7 +252,8 @@ def tolerance(
         box.impact_velocity_least  # m/s, the worst of the samples from each start
 
     The samples are the nominal point, all corners of the box, the centres of its edges, and 64 Sobol points inside it.
-    Each sample is simulated from every start. A search around the most extreme ones adds *refined* samples.
+    Each sample is simulated from every start. A search around the most extreme samples adds further samples, called
+    *refined*.
 
     **Arguments:**
 

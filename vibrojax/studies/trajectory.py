@@ -78,11 +78,13 @@ def simulate(
     **Arguments:**
 
     - `scene`: "rotary", "vibro-impact", "penetration", "drilling" or "coupled-drilling", or a scene object.
-    - `parameters`: parameters of the scene in SI units, `friction` (name of a friction law), `pulse_shape`, `rock`.
-    - `start`: initial condition, "drive" (default), "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s].
+    - `parameters`: the scene's parameters by name, in SI units; also the names of its `friction` law, `pulse_shape` or
+      `rock`.
+    - `start`: initial condition: "drive" (default), "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s].
     - `duration`: simulated time [s]; by default 20 s, or 50 cycles of a `vj.System`.
-    - `method`: "located" (default), "smoothed", or "diffrax".
-    - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5". Specifying `solver` selects "diffrax".
+    - `method`: "located" (default; steps end exactly at events), "smoothed" (friction without a jump), or "diffrax" (a
+      solver of that package).
+    - `solver`: for "diffrax", a diffrax solver or its name, by default "Tsit5".
     - `error`: accepted relative error, which determines step sizes and tolerances unless `step` or `smoothing` is
       given.
     - `step`: maximum step size, or the step size of the smoothed method [s].
@@ -90,11 +92,11 @@ def simulate(
     - `sampling`: sampling interval [s]; by default a twentieth of the duration of an impact, or 1 ms if the scene has
       no impacts.
 
-    **Returns:** a dataset along `time`: x1, v1, x2, v2, friction_force, impact_force [N], and stuck (1 while the bit
-    sticks); scenes with rock also have x3, x4, v3, rock_force and applied_force [N]. Along `event`, the dataset has the
-    times and kinds of events. Scalar variables, such as regime and period, describe the last part of the motion, the
-    observation. The attribute `run` contains the settling and observation times. Datasets of a diffrax solver have
-    neither events nor scalar variables.
+    **Returns:** a dataset. The variables along `time` are x1, v1, x2, v2, friction_force, impact_force [N], and stuck
+    (1 while the bit sticks); scenes with rock also have x3, x4, v3, rock_force and applied_force [N]. The variables
+    along `event` are the times and kinds of events. Scalar variables, such as regime and period, describe the last part
+    of the motion (the observation). The attribute `run` contains the settling and observation times. Datasets of a
+    diffrax solver have neither events nor scalar variables.
 
     **Raises:** `InputError` if a name or value is wrong, or if the simulation would need too many steps or samples.
 

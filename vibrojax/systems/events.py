@@ -119,8 +119,8 @@ class Friction:
       function of `p`.
     - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; by default, the
       coefficient of the law at rest.
-    - `lift_off`: True if a negative normal force counts as zero. If `lift_off` is False, a negative normal force ends
-      the motion with a reason, because friction would drive the body.
+    - `lift_off`: True if a negative normal force counts as zero. If `lift_off` is False, a lane fails when the normal
+      force becomes negative, because friction would then drive the body.
 
     **Example:**
 

@@ -40,17 +40,17 @@ DEFINED: "WeakValueDictionary[str, System]" = WeakValueDictionary()
 
 
 class System(SystemScales):
-    """A hybrid dynamical system written as plain functions, which can replace any scene.
+    """A hybrid dynamical system, written as plain functions. A system can be used wherever a scene can.
 
-    All functions of a system take the time `t` [s], the states `y` and the parameters `p` by name. Write functions of a
-    system with + - * / ** and the functions of `vj.elementary`.
+    All functions of a system take the time `t` [s], a dict `y` of the states and a dict `p` of the parameters. Write
+    functions of a system with + - * / ** and the functions of `vj.elementary`.
 
     **Arguments:**
 
     - `name`: name of the system in datasets.
-    - `states`: unit of each state by name.
-    - `parameters`: for each parameter by name, its default, a pair of default and unit such as `(0.5, "rad s-2")`, or
-      an entry of `vj.parameters` with unit and range.
+    - `states`: a dict with the unit of each state.
+    - `parameters`: a dict with, for each parameter, its default, a pair of default and unit such as `(0.5, "rad s-2")`,
+      or an entry of `vj.parameters` with unit and range.
     - `field`: function `field(t, y, p)` that returns the time derivative of each state by name; in `field(t, y, p, s)`,
       `s` holds the side of each switch and the discrete states by name.
     - `period`: period T of the forcing [s], a number or a function of `p`; the section of a forced system is at the
@@ -59,13 +59,13 @@ class System(SystemScales):
       `section(t, y, p)`; the section is where the state or function rises through zero or the level. A system without
       `period` and `section` can be simulated but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
-    - `modes`: initial value of each discrete state by name. The resets of events change discrete states, and functions
-      read a discrete state as `s[name]`. Datasets contain discrete states in the same form as continuous states.
+    - `modes`: a dict with the initial value of each discrete state. The resets of events change discrete states, and
+      functions read a discrete state as `s[name]`.
     - `rate`: function of `p` that returns the fastest rate of change [1/s]; by default, the spectral radius of the
       field's Jacobian at the initial state.
     - `regimes`: the system's own names of regimes, such as `{"periodic": "rocking"}`.
 
-    By default all states begin at zero. Trajectories have the states' names.
+    By default all states begin at zero. In trajectories, the variables have the names of the states.
 
     **Raises:** `InputError` if a function returns something that a system cannot use.
 

@@ -13,8 +13,7 @@ const shell = (word) => (/^[A-Za-z0-9_=.,:+-]+$/.test(word) ? word : `'${word.re
 /** Whether a parameter and its value may be written. */
 function allowed(run, name, value) {
   if (name === "rock") return run.rocks.includes(value) && WORD.test(value);
-  const ofScene = run.names.includes(name) || (["rpm", "bit_radius"].includes(name) && run.names.includes("v"));
-  return NAME.test(name) && ofScene && isNumber(value);
+  return NAME.test(name) && run.names.includes(name) && isNumber(value);
 }
 
 /** A start as it may be written: a word of the scene, or numbers for its states; null for any other. */
@@ -30,12 +29,8 @@ function startText(run, start) {
 function givenOf(run, own, point) {
   const given = new Map(Object.entries(run.parameters)), ofScene = (name) => run.names.includes(name);
   for (const [name, value] of Object.entries(own)) if (ofScene(name) || name === "rock") given.set(name, value);
-  if (Object.hasOwn(own, "rpm")) {
-    given.set("rpm", own.rpm);
-    if (Object.hasOwn(own, "bit_radius")) given.set("bit_radius", own.bit_radius);
-  }
   if (point) {
-    for (const name of [...given.keys()]) if (ofScene(name) || ["rock", "rpm", "bit_radius"].includes(name)) given.delete(name);
+    for (const name of [...given.keys()]) if (ofScene(name) || name === "rock") given.delete(name);
     for (const [name, value] of Object.entries(point.parameters)) given.set(name, value);
     return { given, start: point.start };
   }

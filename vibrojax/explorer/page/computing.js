@@ -13,13 +13,16 @@ export class Computing {
     this.element = this.sliders.element;
   }
 
-  /** Stand at the point of a cell, of which the coordinates are given by name. */
+  /** Stand at the point of a cell that is no lane, of which the coordinates are given by name. */
   stand(own) {
     const { offered } = this, values = { ...offered.values, ...offered.rocks?.[own.rock] };
     for (const name of Object.keys(offered.values)) if (typeof own[name] === "number") values[name] = own[name];
-    if ("v" in values && typeof own.rpm === "number") values.v = ((2 * Math.PI) / 60) * own.rpm * (own.bit_radius ?? offered.bit_radius);
     const vector = offered.states.map((name) => own[`start_${name}`]);
-    const start = vector.length && vector.every((x) => typeof x === "number") ? vector : own.start ?? offered.start;
+    this.place(values, vector.length && vector.every((x) => typeof x === "number") ? vector : own.start ?? offered.start);
+  }
+
+  /** Stand at a point. Of a lane, whose coordinates may replace parameters, the source says the parameters. */
+  place(values, start) {
     Object.assign(this, { at: values, from: start });
     this.sliders.set(values, start);
     this.sliders.say("");
@@ -79,8 +82,8 @@ export class Computing {
   }
 
   given(parameters) {
-    const changed = this.offered.parameters.filter(({ name, default: usual }) => parameters[name] !== usual);
-    return Object.fromEntries(changed.map(({ name }) => [name, parameters[name]]));
+    const usual = new Map(this.offered.parameters.map((one) => [one.name, one.default]));
+    return Object.fromEntries(Object.entries(parameters).filter(([name, value]) => value !== usual.get(name)));
   }
 
   written(start) { return Array.isArray(start) ? `[${start.join(", ")}]` : start; }

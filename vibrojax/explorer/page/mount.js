@@ -207,7 +207,9 @@ class Page {
     } catch (error) {
       motion = { kind: "none", note: String(error.message ?? error) };
     }
-    if (number === this.asked) this.showMotion(motion);
+    if (number !== this.asked) return;
+    if (motion?.point) this.computing?.place(motion.point.parameters, motion.point.start);
+    this.showMotion(motion);
   }
 
   /**

@@ -93,10 +93,8 @@ export class Sliders {
 
   /** Stand at a point, in SI; what is not given stays where it is. Nobody hears of it. */
   set(values, start = undefined) {
-    for (const name of this.rows.keys()) {
-      if (typeof values[name] === "number") this.values[name] = values[name];
-      this.write(name);
-    }
+    for (const name of Object.keys(this.values)) if (typeof values[name] === "number") this.values[name] = values[name];
+    for (const name of this.rows.keys()) this.write(name);
     if (start === undefined || start === null || !this.which) return;
     this.start = start;
     this.which.value = typeof start === "string" ? start : VECTOR;
