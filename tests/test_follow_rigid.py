@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.optimize import brentq, fsolve
 from systems import (
     BALL,
@@ -10,6 +11,8 @@ from systems import (
     ball_appears,
     ball_doubles,
     ball_orbit,
+    cos,
+    mass,
     oscillator_doubles,
     oscillator_grazes,
     oscillator_orbits,
@@ -126,16 +129,66 @@ def test_graze_is_the_same_from_both_sides():
     assert steep == pytest.approx(smooth, rel=2e-9)
 
 
-@pytest.mark.parametrize("at", [0.85, 0.97])
-def test_branch_point_is_the_same_from_both_branches(at):
-    """At r = 0.8655 twins leave a symmetric orbit, and turn within 1e-3 of their swing.
+@pytest.mark.parametrize(
+    ("d", "at", "start", "value"),
+    [
+        (0.341, 0.85, [0.1, 0.3], 0.865514886644253),
+        (0.341, 0.97, [0.1, 0.3], 0.865514886644253),
+        (0.34, 0.66, [0.0, 0.0], 0.685333635132339),
+        (0.34, 0.69, [0.0, 0.0], 0.685333635132339),  # steps become short
+        (0.34, 0.74, [0.0, 0.0], 0.685333635132339),  # rounding errors lead past the point
+    ],
+)
+def test_branch_point_is_the_same_from_both_branches(d, at, start, value):
+    """At this restitution twins leave a symmetric orbit, at d = 0.341 within 1e-3 of their swing.
 
     The family begins on the symmetric orbit or on a twin. Its branches end at the bounds, the twins on one side.
     """
-    family = vj.follow(WALLS, along="r", at=at, span=(0.6, 0.99), start=[0.1, 0.3], d=0.341, cycles=1, progress=False)
+    bounds = {"span": (0.6, 0.99), "settle": 2000.0}
+    family = vj.follow(WALLS, along="r", at=at, start=start, d=d, cycles=1, progress=False, **bounds)
     [crossing] = np.concatenate([special_values(family, "branch-point", branch) for branch in (0, 1)])
     ends = [sorted(special_values(family, "end", branch)) for branch in (0, 1)]
-    assert crossing == pytest.approx(0.865514886644253, abs=1e-12) and sorted(ends) == [[0.6, 0.99], [0.99, 0.99]]
+    assert crossing == pytest.approx(value, abs=1e-12) and sorted(ends) == [[0.6, 0.99], [0.99, 0.99]]
+
+
+def test_branches_pass_and_join_at_a_graze_against_friction():
+    """Friction turns the mass where it grazes, so that two events coincide. The amplitude there is known.
+
+    From the greatest to the least position, the distance from the forced oscillation and from the equilibrium under
+    friction obeys the flow of the free oscillation (Den Hartog, Transactions of the ASME 53 (1931), 107). The branch of
+    one impact in two periods joins the motion without impact there.
+    """
+    w, damping, stop, grip = 0.9, 0.1, 0.6, 0.2
+    events = [
+        vj.Impact("wall", gap=lambda t, y, p: stop - y["x"], velocity="v", restitution=0.7),
+        vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: grip, 1.0, "v"),
+    ]
+    shaken = mass(
+        lambda t, y, p: p["a"] * cos(w * t) - damping * y["v"] - y["x"],
+        *events,
+        parameters={"a": 1.0},
+        period=2 * np.pi / w,
+    )
+    half = expm(np.array([[0.0, 1.0], [-1.0, -damping]]) * np.pi / w)
+    off = np.linalg.solve(np.eye(2) + half, (half - np.eye(2)) @ [grip, 0.0])
+    graze = np.hypot(stop - off[0], off[1] / w) * abs(complex(1 - w**2, damping * w))
+    family = vj.follow(shaken, along="a", at=1.0, span=(0.25, 2.0), cycles=2, progress=False)
+    assert special_values(family, "grazing") == pytest.approx([graze], abs=1e-8)
+    assert special_values(family, "grazing", branch=1)[-1] == pytest.approx(graze, abs=1e-8)
+    assert special_values(family, "end").tolist() == [0.25, 2.0] and not len(special_values(family, "end", branch=1))
+
+
+def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():
+    """A family that begins with one impact in two periods leads to a doubling in closed form, and does not go back."""
+    family = vj.follow(IMPACT_OSCILLATOR, along="r", at=0.7, span=(0.0, 1.0), a=0.5, progress=False, cycles=2)
+
+    def product(r):
+        return np.prod(1 + oscillator_orbits(0.5, r, **OSCILLATOR)[-1].multipliers).real
+
+    doubles = brentq(product, 0.6, 0.62, xtol=1e-15)
+    assert special_values(family, "period-doubling") == pytest.approx([doubles], abs=1e-10)
+    assert len(special_values(family, "fold")) == len(special_values(family, "grazing")) == 1
+    assert special_values(family, "end").tolist() == [1.0]
 
 
 def test_family_goes_on_where_an_impact_passes_the_section():

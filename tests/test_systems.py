@@ -185,6 +185,25 @@ def test_mass_that_is_not_positive_fails_with_reason():
         vj.simulate(block, m=-1.0, progress=False)
 
 
+def test_friction_that_drives_for_some_parameters_fails_with_reason():
+    """The probe of a system sees the default only: the friction opposes the motion for a positive sign."""
+    friction = vj.Friction("base", lambda t, y, p: p["sign"] * y["v"], lambda t, y, p: 1.0, 0.3, "v")
+    block = mass(lambda t, y, p: vj.elementary.cos(2 * np.pi * t) - y["x"], friction, parameters={"sign": 1.0})
+    ds = vj.run_sweep({"scene": block, "grid": {"sign": [2.0, -1.0]}, "run": {"settle": 1.0}}, progress=False)
+    assert names_of(ds, "reason") == ["none", "friction-drives"] and names_of(ds)[1] == "failed"
+    with pytest.raises(vj.InputError, match=r"relative of base falls where v rises, so that friction would drive it"):
+        vj.simulate(block, sign=-1.0, progress=False)
+
+
+def test_start_within_rounding_of_a_stop_is_on_it():
+    """The gap is -5.6e-17. The mass rebounds at once; its free motion is known. A slightly greater gap is refused."""
+    free = {"a": 0.0, "damping": 0.0, "stop": 0.3}
+    x, v = ends(IMPACT_OSCILLATOR, [0.1 + 0.2, 0.5], 2.0, **free)
+    assert [x, v] == pytest.approx([0.3 * np.cos(2) - 0.35 * np.sin(2), -0.3 * np.sin(2) - 0.35 * np.cos(2)], abs=1e-8)
+    with pytest.raises(vj.InputError, match="must not be negative"):
+        vj.simulate(IMPACT_OSCILLATOR, start=[0.3 + 1e-13, 0.5], progress=False, **free)
+
+
 def test_invalid_start_gives_one_line():
     with pytest.raises(vj.InputError, match=r"start: \[1.5, 0.0\]: the gap of stop_hit is -0.5; it must not be neg"):
         vj.simulate(IMPACT_OSCILLATOR, start=[1.5, 0.0], progress=False)

@@ -85,7 +85,11 @@ leads to an existing orbit."""
 OF_FAMILIES: dict[str, Variable] = {
     "branch": Variable("1", "number of the branch; 0 is the first branch of the family", np.int32),
     "special_kind": Variable("1", "kind of the special point", np.int8, SPECIAL_KINDS),
-    "special_value": Variable("of the parameter", "value of the parameter at the special point"),
+    "special_value": Variable(
+        "of the parameter",
+        "value of the parameter at the special point",
+        notes={"comment": "an extrapolated graze has the multipliers and impacts of the last orbit before it"},
+    ),
     "special_branch": Variable("1", "number of the branch on which the special point lies", np.int32),
     "special_note": Variable("", "remarks on the special point", np.str_),
     "point_family": Variable("1", "number of the family to which the point belongs", np.int32),

@@ -97,6 +97,7 @@ REASONS = (
     "slides-on-two-switches",
     "negative-friction-at-rest",
     "mass-not-above-zero",
+    "friction-drives",
 )
 """Meaning of each flag of `reason`."""
 

@@ -16,9 +16,9 @@ from vibrojax.periodic.arclength import Branches
 from vibrojax.periodic.brackets import Brackets, TestFunction, interpolate
 from vibrojax.periodic.location import Locator, Test
 from vibrojax.periodic.newton import multipliers
-from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns
+from vibrojax.periodic.problem import AT_CROSSING, Flags, Index, PerLane, Points, Problem, Unknowns
 
-BRANCH_POINT, FOLD = SPECIAL_KINDS.index("branch-point"), SPECIAL_KINDS.index("fold")
+BRANCH_POINT, FOLD, DOUBLING = map(SPECIAL_KINDS.index, ("branch-point", "fold", "period-doubling"))
 
 NO_CHANGE = 1e-6
 """Component of the tangent along the parameter up to which rounding errors decide its sign."""
@@ -31,6 +31,9 @@ POLISHING_STEPS, POLISHED = 12, 1e-12
 
 BESIDE = 0.1
 """Largest distance of a branch point from the zero at which Newton's method begins."""
+
+AHEAD = 1e-3
+"""Length up to which steps next to a branch point are short; points of a branch within this distance are left out."""
 
 CURVATURE_STEP = 1e-4
 """Difference of the unknowns from which second derivatives follow."""
@@ -90,8 +93,9 @@ def crosses(brackets: Brackets) -> Flags:
 
 
 def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
-    """Return the branch point in one bracket, or None if it cannot be located or is a doubling of a shorter orbit.
+    """Return the branch point in one bracket, or None if it cannot be located.
 
+    Where the halves of the orbit are equal, the orbit of half the period doubles, and the kind is that of a doubling.
     The corrector fails near the point, where two solutions meet. Newton's method for the point itself begins at a zero
     that is interpolated between orbits on both sides.
     """
@@ -124,9 +128,32 @@ def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
     point = point._replace(tangent=(tangent * np.sign(tangent @ slope[0]))[None])
     half = problem.halves(point)
     same = np.linalg.norm(half) < SAME_HALVES * np.linalg.norm(point.u)
-    if same or np.abs(multipliers(point.product) - 1).min(initial=np.inf) > CRITICAL_MULTIPLIER:
+    if np.abs(multipliers(point.product) - 1).min(initial=np.inf) > CRITICAL_MULTIPLIER:
         return None
-    return Brackets(np.array([BRANCH_POINT]), bracket.place, point, bracket.far)
+    return Brackets(np.array([DOUBLING if same else BRANCH_POINT]), bracket.place, point, bracket.far)
+
+
+def branch_point_ahead(problem: Problem, points: Points) -> tuple[Points, Points] | None:
+    """Return the points of a branch before a branch point next to which steps are short, and the branch point, or None.
+
+    Next to a branch point the equations are nearly singular: rounding errors lead from one branch to the other.
+    """
+    least = np.linalg.svd(np.nan_to_num(points.matrix), compute_uv=False)[:, -1]
+    short = np.linalg.norm(np.diff(points.u, axis=0), axis=1) < AHEAD
+    near = np.flatnonzero(short & (least[1:] < AT_CROSSING))
+    point = _polished(problem, points.of([near[0] + 1])) if near.size else None
+    if point is None or np.abs(multipliers(point.product) - 1).min(initial=np.inf) > CRITICAL_MULTIPLIER:
+        return None
+    directions, before = _directions(problem, point), points.of(slice(0, near[0] + 1))
+    before = before.of(np.linalg.norm(before.u - point.u, axis=1) > AHEAD)
+    if directions is None or not len(before.u):
+        return None
+    # Along a parabola about one of the directions, the tangent turns away from it twice as fast as the chord.
+    last = np.stack([point.u[0] - before.u[-1], before.tangent[-1]], axis=1)
+    chord, slope = np.linalg.lstsq(directions.T, last, rcond=None)[0].T
+    turn = slope[::-1] * chord - 2 * slope * chord[::-1]
+    own = int(np.abs(turn).argmin())
+    return before, point._replace(tangent=np.sign(chord[own]) * directions[[own]])
 
 
 def _polished(problem: Problem, point: Points) -> Points | None:

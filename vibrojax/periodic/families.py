@@ -12,11 +12,10 @@ import numpy as np
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.arclength import CLOSED, ENDED, STALLED, STOPPED, VANISHED, Stop
 from vibrojax.periodic.brackets import Brackets
-from vibrojax.periodic.branch_points import FamilyLocator, second_tangent
+from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator, branch_point_ahead, second_tangent
 from vibrojax.periodic.hopf import hopf_point
 from vibrojax.periodic.location import (
     GRAZED_MARGIN,
-    branch_distance,
     classify_event_changes,
     cross_impact,
     extrapolated_graze,
@@ -55,6 +54,9 @@ NEAR_HOPF = 1e-6
 STEEP_GRAZE = 1e3
 """Modulus of a multiplier from which on a graze counts as reached from the side of the impacts."""
 
+ENDS_AT_SHORTER = "the branch ends at the orbit of half its period"
+"""Note on a period doubling that a branch reaches from the side of the doubled orbit."""
+
 FREE_PHASE_REACH = 0.05
 """Scaled distance in the parameter and the period within which a branch without a section joins another one."""
 
@@ -82,33 +84,38 @@ class FamilyContinuation(Tracing):
                 begin = first._replace(tangent=sign * first.tangent)
                 segments.append(Segment(number, 0, sign, begin, home=begin))
         segments = self.trace(segments)
-        self._end_at_doublings(segments)
         for branch in {(segment.family, segment.branch) for segment in segments}:
             own = [segment for segment in segments if (segment.family, segment.branch) == branch]
             _refine_grazes(self._problem, own)
+        self._end_where_joined(segments)
         return drop_duplicates(segments, self._problem)
 
     def stop(self, segments: list[Segment]) -> Stop:
-        """Return the condition that a doubled branch is back at the branch that it left."""
-        size = segments[0].begin.u.shape[1]
-        none = np.full(size, np.nan)
-        departure = np.array([none if segment.departure is None else segment.departure for segment in segments])
-        farthest = np.zeros(len(segments))
+        """Return the condition that a doubled branch is back at one that it left: the halves of its orbits exchange."""
+        doubled = np.array([segment.doubled for segment in segments])
+        halves = self._problem.halves(Points.join([segment.begin for segment in segments]))
+        farthest = np.linalg.norm(halves, axis=1)
 
         def rejoins(lanes: Index, now: Points) -> Flags:
-            if size % 2 == 0:  # doubled orbits have an even number of states and one parameter
-                return np.zeros(len(lanes), bool)
-            distance = branch_distance(now.u, departure[lanes])
+            own = self._problem.halves(now)
+            distance, turned = np.linalg.norm(own, axis=1), np.einsum("ij,ij->i", own, halves[lanes]) < 0
             farthest[lanes] = np.fmax(farthest[lanes], distance)
-            # On the original branch, rounding errors decide the sign of the distance.
-            return distance <= np.minimum(SAME_POINT, REJOIN_DISTANCE * farthest[lanes])
+            halves[lanes] = own
+            # On the original branch, rounding errors decide the sign.
+            near = distance <= np.minimum(SAME_POINT, REJOIN_DISTANCE * farthest[lanes])
+            return np.asarray(doubled[lanes] & (turned | near))
 
         return rejoins
 
     def finish(self, segments: list[Segment]) -> list[Segment]:
         """Enter special points and ends of segments; return the segments beyond stalls, and doubled branches."""
         stalled: list[Segment] = []
+        following: list[Segment] = []
         for segment in segments:
+            ahead = branch_point_ahead(self._problem, segment.points) if segment.origin is None else None
+            if ahead is not None:
+                following += self._pass_branch_point(segment, *ahead)
+                continue
             hopf = self.hopf(segment) if segment.status == VANISHED else None
             status, special, reached = segment.status, segment.special, segment.points
             note = ENDINGS.get(status, "")
@@ -117,13 +124,17 @@ class FamilyContinuation(Tracing):
                 beyond = float(np.abs(reached.u[-1] - segment.points.u[-1]).max())
                 segment.reach = max(segment.reach, beyond)
             inside = special.place < len(segment.points.u) - 1
-            if segment.departure is None and segment.origin is not None and len(segment.origin) == reached.u.shape[1]:
+            if not segment.doubled and segment.origin is not None and len(segment.origin) == reached.u.shape[1]:
                 rejoined = inside & (np.abs(special.near.u - segment.origin).max(axis=1) < REJOIN_DISTANCE)
                 if rejoined.any():
                     last = int(special.place[rejoined].min()) + 1
                     status, note, segment.points = STOPPED, ENDINGS[STOPPED], segment.points.of(slice(0, last))
                     inside &= special.place < last - 1
-            self._add_marks(segment, special.of(inside))
+            repeats = inside & (special.kind == DOUBLING) & self._repeats(special.near)
+            if not segment.doubled and repeats.any():
+                self._end_at_shorter(segment, special.of(inside), special.of(repeats))
+                continue
+            self._add_marks(segment, special.of(inside & ~repeats))
             if status == STALLED and segment.number < MAX_SEGMENTS:
                 stalled.append(segment)
                 continue
@@ -136,8 +147,37 @@ class FamilyContinuation(Tracing):
                 is_last = abs(value - high) < abs(value - low)
                 note = f"the {'last' if is_last else 'first'} value is reached"
             segment.mark("end", note)
-        following = self._pass_stalls(stalled) if stalled else []
+        following += self._pass_stalls(stalled) if stalled else []
         return following + self._doubled_branches(segments) + self._crossing_branches(segments)
+
+    def _repeats(self, orbits: Points) -> Flags:
+        """Return a mask of the orbits that go round twice."""
+        own, half = (np.linalg.norm(x, axis=1) for x in (orbits.u, self._problem.halves(orbits)))
+        return np.asarray(half < SAME_HALVES * own)
+
+    def _pass_branch_point(self, segment: Segment, before: Points, crossing: Points) -> list[Segment]:
+        """End a segment at a branch point where its steps became short; return the segment behind it."""
+        place = len(before.u) - 1
+        special = segment.special.of(segment.special.place < place)
+        here = Brackets(np.array([DOUBLING]), np.array([place]), crossing, crossing)
+        if self._repeats(crossing)[0]:
+            self._end_at_shorter(segment, Brackets.join([special, here]), here)
+            return []
+        segment.points = Points.join([before, crossing])
+        self._add_marks(segment, special)
+        segment.mark("branch-point", "")
+        onward = segment.onward(crossing)
+        onward.crossing = invariants(self._problem, crossing)
+        return [onward]
+
+    def _end_at_shorter(self, segment: Segment, special: Brackets, doubles: Brackets) -> None:
+        """End a segment where the orbit of half its period doubles: behind it, only the halves are exchanged."""
+        first = int(doubles.place.argmin())
+        place = int(doubles.place[first])
+        segment.points = segment.points.of(slice(0, place + 1))
+        self._add_marks(segment, special.of(special.place < place))
+        orbit = self._problem.halved(doubles.near.of([first]))
+        segment.marks.append(Mark(orbit, "period-doubling", ENDS_AT_SHORTER, place))
 
     def hopf(self, segment: Segment) -> Points | None:
         """Return the Hopf point to which the end of a segment leads, or None."""
@@ -147,28 +187,30 @@ class FamilyContinuation(Tracing):
         """Return why a segment ends at its last point, at which the condition of `stop` holds."""
         return ENDINGS[STOPPED]
 
-    def _end_at_doublings(self, segments: list[Segment]) -> None:
-        """Move the ends of doubled branches that join another branch to the period doublings at which they join it.
+    def _end_where_joined(self, segments: list[Segment]) -> None:
+        """Move the ends of doubled branches to the period doublings, or else grazes, at which they join another branch.
 
         The last step of a doubled branch passes the doubling by a distance that depends on rounding errors.
         """
-        doublings = [(s.family, mark.orbit) for s in segments for mark in s.marks if mark.kind == "period-doubling"]
         for segment in segments:
-            last, cycles = segment.points.of([-1]), segment.points.times.shape[1]
-            orbits = [x for family, x in doublings if family == segment.family and 2 * x.times.shape[1] == cycles]
-            if not orbits or all(mark.note != ENDINGS[STOPPED] for mark in segment.marks):
+            if all(mark.note != ENDINGS[STOPPED] for mark in segment.marks):
                 continue
-            shifted = [
-                np.append(np.tile(np.roll(orbit.u[0, :-1], k * self._problem.rows), 2), orbit.u[0, -1])
-                for orbit in orbits
-                for k in range(cycles // 2)
-            ]
-            nearest = min(shifted, key=lambda u: float(np.abs(u - last.u).max()))
-            if np.abs(nearest - last.u).max() <= segment.reach:
-                end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
-                segment.points = Points.join([segment.points, end])
-                segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
-                segment.mark("end", ENDINGS[STOPPED])
+            last, cycles = segment.points.of([-1]), segment.points.times.shape[1]
+            marks = [mark for other in segments if other.family == segment.family for mark in other.marks]
+            for kind, name in (("period-doubling", "end"), ("grazing", "grazing")):
+                shifted = [
+                    np.append(np.tile(np.roll(m.orbit.u[0, :-1], k * self._problem.rows), 2), m.orbit.u[0, -1])
+                    for m in marks
+                    if m.kind == kind and 2 * m.orbit.times.shape[1] == cycles
+                    for k in range(cycles // 2)
+                ]
+                nearest = min(shifted, key=lambda u: float(np.abs(u - last.u).max()), default=last.u[0] + np.inf)
+                if np.abs(nearest - last.u).max() <= segment.reach:
+                    end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
+                    segment.points = Points.join([segment.points, end])
+                    segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
+                    segment.mark(name, ENDINGS[STOPPED])
+                    break
 
     def _add_marks(self, segment: Segment, special: Brackets) -> None:
         """Add special points to a segment, without the branch point at which it begins: the parameter may turn."""
@@ -190,7 +232,7 @@ class FamilyContinuation(Tracing):
         turned, corners = turn_corner(problem, [segment.points for segment in segments])
         changed = corners.changes_events
         for k, segment in enumerate(segments):
-            end, departure = segment.points.of([-1]), segment.departure
+            end, doubled = segment.points.of([-1]), segment.doubled
             kinds: list[str] = []
             hopf = self.hopf(segment) if problem.at_section and not changed[k] else None
             if hopf is not None:
@@ -212,21 +254,21 @@ class FamilyContinuation(Tracing):
             if beyond is None and problem.at_section:
                 beyond = reindex_returns(problem, end)
             if beyond is None and not kinds:
-                distance = np.inf if departure is None else abs(branch_distance(end.u, departure[None])[0])
+                joined = doubled and np.linalg.norm(problem.halves(end)) < SAME_POINT
                 stalled = f"no {problem.noun} is found any further"
                 stalled += f"; grazing margin {end.margin[0]:.1e}" * problem.at_section
-                segment.mark("end", ENDINGS[STOPPED] if distance < SAME_POINT else stalled)
+                segment.mark("end", ENDINGS[STOPPED] if joined else stalled)
                 continue
             if beyond is None:
                 uncounted = "the motion goes on, its returns are not counted any more"
                 note = uncounted if kinds[0] == "section" else "the family ends here"
             elif not turned[k]:
-                kinds, departure, note = ["section"], None, f"{beyond.times.shape[1]} returns from here"
+                kinds, doubled, note = ["section"], False, f"{beyond.times.shape[1]} returns from here"
             for kind in kinds:
                 event, change = change_of(problem.scene, kind, corners.near.of([k]), corners.far.of([k]))
                 segment.mark(kind, note or change * (not problem.at_section), event)
             if beyond is not None:
-                following.append(segment.onward(beyond, departure))
+                following.append(segment.onward(beyond, doubled))
         return following
 
     def _doubled_branches(self, segments: list[Segment]) -> list[Segment]:
@@ -234,7 +276,8 @@ class FamilyContinuation(Tracing):
         doubled = []
         for segment in segments:
             for mark in segment.marks:
-                if mark.kind != "period-doubling" or 2 * mark.orbit.times.shape[1] > self._cycles:
+                again = mark.note == ENDS_AT_SHORTER  # that branch is the one which ends here
+                if mark.kind != "period-doubling" or again or 2 * mark.orbit.times.shape[1] > self._cycles:
                     continue
                 branch = self._branches[segment.family]
                 if branch >= MAX_BRANCHES:
@@ -242,7 +285,7 @@ class FamilyContinuation(Tracing):
                 u, tangent = self._problem.doubled(mark.orbit)
                 begin = self._problem.evaluate(mark.orbit.family, u)._replace(tangent=tangent)
                 self._branches[segment.family] += 1
-                more = {"parent": segment, "departure": tangent[0], "origin": u[0]}
+                more: dict[str, Any] = {"parent": segment, "doubled": True, "origin": u[0]}
                 doubled.append(Segment(segment.family, branch, 1, begin, **more))
         return doubled
 
@@ -372,7 +415,7 @@ def drop_duplicates(segments: list[Segment], problem: Problem) -> list[Segment]:
 
 def _from_other_ends(segments: list[Segment], rows: int) -> set[tuple[int, int]]:
     """Return the doubled branches, as (family, branch), that retrace another branch in the opposite direction."""
-    begins = {(s.family, s.branch): s.begin.u[0] for s in segments if s.departure is not None and s.number == 0}
+    begins = {(s.family, s.branch): s.begin.u[0] for s in segments if s.doubled and s.number == 0}
     ends = {
         (segment.family, segment.branch): (mark.orbit.u[0], segment.reach)
         for segment in segments

@@ -184,6 +184,9 @@ BEFORE_CORNER = 100 * SHORTEST_STEP
 PROBE_DISTANCES = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
 """Scaled distances behind a corner at which the other side of the corner is evaluated."""
 
+PROBED_ORDERS = 2
+"""Number of orders of events behind a corner in which orbits are sought."""
+
 DEPARTURE_DISTANCES = (1e-6, 1e-5, 1e-4, 1e-3)
 """Scaled distances between a corner and the first point beyond it."""
 
@@ -262,35 +265,59 @@ def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Br
     last = Points.join([branch.of([-1]) for branch in branches])
     away = [np.flatnonzero(np.abs(x.u - x.u[-1]).max(axis=1) > BEFORE_CORNER) for x in branches]
     before = Points.join([x.of([k[-1] if len(k) else 0]) for x, k in zip(branches, away, strict=True)])
-    family, tangent = last.family, last.tangent
-    lanes = np.arange(len(family))
+    lanes = np.arange(len(last.u))
+    turned, beyond, known = np.zeros(len(lanes), bool), last.of(lanes), [before.signature]
     with np.errstate(all="ignore"):
-        other = last.of(lanes)
-        for distance in PROBE_DISTANCES:
-            subset = np.flatnonzero((other.signature == before.signature).all(axis=1) | ~np.isfinite(other.residual))
+        # Within rounding errors of a corner, events that coincide there may come in an order that no orbit has.
+        for attempt in range(PROBED_ORDERS):
+            open_lanes = np.flatnonzero(~turned)
+            if not len(open_lanes):
+                break
+            other = _other_side(problem, last.of(open_lanes), [signature[open_lanes] for signature in known])
+            found, onward = _continued(problem, before.of(open_lanes), last.of(open_lanes), other)
+            turned[open_lanes] = found
+            kept = found | (attempt == 0)
+            beyond.put(open_lanes[kept], onward.of(kept))
+            known.append(known[0].copy())
+            known[-1][open_lanes] = other.signature
+    return turned, Brackets(np.full(len(lanes), EVENT_CHANGE), lanes, before, beyond)
+
+
+def _other_side(problem: Problem, last: Points, known: Sequence[np.ndarray]) -> Points:
+    """Return the nearest probes behind corners with events other than the `known` signatures, else the last probes."""
+    other = last.of(np.arange(len(last.u)))
+    for distance in PROBE_DISTANCES:
+        same = np.any([(other.signature == signature).all(axis=1) for signature in known], axis=0)
+        subset = np.flatnonzero(same | ~np.isfinite(other.residual))
+        if not len(subset):
+            break
+        u = last.u[subset] + distance * last.tangent[subset]
+        other.put(subset, problem.evaluate(last.family[subset], u))
+    return other
+
+
+def _continued(problem: Problem, before: Points, last: Points, other: Points) -> tuple[Flags, Points]:
+    """Return a mask of the corners behind which orbits with the events of `other` go on, and points of these, or it."""
+    turned, beyond = np.zeros(len(last.u), bool), other.of(np.arange(len(last.u)))
+    sound = np.isfinite(other.matrix).all(axis=(1, 2))
+    direction = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
+    # A jump of the period means that other section crossings are counted, not that there is a corner.
+    same = np.abs(other.period - last.period) < SAME_TIME * last.period
+    same &= (other.signature != before.signature).any(axis=1)
+    for distance in DEPARTURE_DISTANCES:
+        for sign in (1.0, -1.0):
+            subset = np.flatnonzero(~turned & same & sound)
             if not len(subset):
                 break
-            other.put(subset, problem.evaluate(family[subset], last.u[subset] + distance * tangent[subset]))
-        turned, beyond = np.zeros(len(lanes), bool), other.of(lanes)
-        sound = np.isfinite(other.matrix).all(axis=(1, 2))
-        direction = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
-        # A jump of the period means that other section crossings are counted, not that there is a corner.
-        same = np.abs(other.period - last.period) < SAME_TIME * last.period
-        for distance in DEPARTURE_DISTANCES:
-            for sign in (1.0, -1.0):
-                subset = np.flatnonzero(~turned & same & sound)
-                if not len(subset):
-                    break
-                t = sign * direction[subset]
-                guess = last.u[subset] + distance * t
-                now, right = problem.correct(family[subset], guess, t, np.einsum("ij,ij->i", t, guess))
-                right &= (now.signature == other.signature[subset]).all(axis=1)
-                right &= (now.signature != before.signature[subset]).any(axis=1)
-                right &= np.abs(now.u - guess).max(axis=1) < 0.5 * distance
-                kept = subset[right]
-                turned[kept] = True
-                beyond.put(kept, now.of(right))
-    return turned, Brackets(np.full(len(lanes), EVENT_CHANGE), lanes, before, beyond)
+            t = sign * direction[subset]
+            guess = last.u[subset] + distance * t
+            now, right = problem.correct(last.family[subset], guess, t, np.einsum("ij,ij->i", t, guess))
+            right &= (now.signature == other.signature[subset]).all(axis=1)
+            right &= np.abs(now.u - guess).max(axis=1) < 0.5 * distance
+            kept = subset[right]
+            turned[kept] = True
+            beyond.put(kept, now.of(right))
+    return turned, beyond
 
 
 def reindex_returns(problem: Problem, last: Points) -> Points | None:
@@ -349,9 +376,3 @@ def cross_impact(problem: Problem, last: Points) -> Points | None:
             if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
                 return now.along(towards(guess, sign))
     return None
-
-
-def branch_distance(u: Unknowns, departure: Unknowns) -> PerLane:
-    """Return the signed distance of doubled branches from the original branch, along the direction `departure`."""
-    half = (u.shape[1] - 1) // 2
-    return np.einsum("ij,ij->i", u[:, :half] - u[:, half : 2 * half], departure[:, :half])

@@ -255,6 +255,13 @@ class Problem:
         tangent = np.concatenate([half, -half, np.zeros_like(others)], axis=1)
         return u, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
+    def halved(self, points: Points) -> Points:
+        """Return the orbits of half the period, of orbits that go round twice."""
+        size = self.cycles(points.u) * self.rows
+        others = points.u[:, size:].copy()
+        others[:, : -len(self.along)] /= 2  # the period, if it is among the unknowns
+        return self.evaluate(points.family, np.concatenate([points.u[:, : size // 2], others], axis=1))
+
     def shift(self, points: Points) -> Unknowns:
         """Return the direction along which orbits are the same but for their phase: none at a section."""
         return np.zeros_like(points.u)

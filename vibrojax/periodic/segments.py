@@ -74,7 +74,7 @@ class Segment:
     - `number`: number of the segment in its direction.
     - `home`: first point of the branch, at which it may close; None if it cannot.
     - `parent`: the segment that this segment continues, or on which its doubled branch begins.
-    - `departure`: tangent at the period doubling, for doubled branches only.
+    - `doubled`: True for doubled branches, until an impact at the section interrupts them.
     - `origin`: unknowns at the period doubling at which a branch ends that an impact at the section has interrupted.
     - `reach`: largest scaled distance between the segment's end and the branch that it joins.
     - `crossing`: numbers that identify the branch point at which the segment begins; None elsewhere.
@@ -90,7 +90,7 @@ class Segment:
     number: int = 0
     home: Points | None = None
     parent: "Segment | None" = None
-    departure: np.ndarray | None = None
+    doubled: bool = False
     origin: np.ndarray | None = None
     reach: float = REJOIN_DISTANCE
     crossing: np.ndarray | None = None
@@ -100,10 +100,10 @@ class Segment:
     marks: list[Mark] = field(init=False, default_factory=list)
     note: str = ""
 
-    def onward(self, beyond: Points, departure: np.ndarray | None = None) -> "Segment":
+    def onward(self, beyond: Points, doubled: bool = False) -> "Segment":
         """Return the segment that begins at the point `beyond`, behind the end of this segment."""
         begin = self.family, self.branch, self.direction, beyond, STEP_AFTER_CORNER, self.number + 1
-        return Segment(*begin, self.home, self, departure, self.origin)
+        return Segment(*begin, self.home, self, doubled, self.origin)
 
     def mark(self, kind: str, note: str, event: str = "") -> None:
         """Add a special point at the segment's end; an existing one of the same kind there gets the note instead."""

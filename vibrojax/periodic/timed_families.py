@@ -36,17 +36,15 @@ class TimedContinuation(FamilyContinuation):
     def stop(self, segments: list[Segment]) -> Stop:
         """Return the condition that the amplitude passes zero, that a period is too long, or that branches join."""
         begin = Points.join([segment.begin for segment in segments])
-        deviations, halves = self._deviations(begin), self._problem.halves(begin)
+        deviations, rejoins = self._deviations(begin), super().stop(segments)
         first, count = begin.u[:, -1].copy(), np.zeros(len(begin.u), int)
-        doubled = np.array([segment.departure is not None for segment in segments])
 
         def ends(lanes: Index, now: Points) -> Flags:
-            own, other = self._deviations(now), self._problem.halves(now)
+            own = self._deviations(now)
             turned = np.einsum("ij,ij->i", own, deviations[lanes]) < 0
-            joins = doubled[lanes] & (np.einsum("ij,ij->i", other, halves[lanes]) < 0)
-            deviations[lanes], halves[lanes] = own, other
+            deviations[lanes] = own
             count[lanes] = np.where(np.abs(now.u[:, -1] - first[lanes]) < SAME_VALUE, count[lanes] + 1, 0)
-            return joins | turned | self._is_long(now) | (count[lanes] >= CENTRE_POINTS)
+            return rejoins(lanes, now) | turned | self._is_long(now) | (count[lanes] >= CENTRE_POINTS)
 
         return ends
 
@@ -67,7 +65,7 @@ class TimedContinuation(FamilyContinuation):
         return timed_hopf_point(self._problem, pair)
 
     def stop_note(self, segment: Segment) -> str:
-        if segment.departure is not None:
+        if segment.doubled:
             return super().stop_note(segment)
         if self._is_long(segment.points.of([-1]))[0]:
             return "the period grows without limit"
@@ -82,7 +80,7 @@ class TimedContinuation(FamilyContinuation):
         own = points.u[:, : -1 - len(self._problem.along)].reshape(size)
         return np.asarray((own - own.mean(axis=1, keepdims=True)).reshape(size[0], size[1] * size[2]))
 
-    def _end_at_doublings(self, segments: list[Segment]) -> None:
+    def _end_where_joined(self, segments: list[Segment]) -> None:
         """Doubled branches end before the doubling at which they join another branch; the mark says so."""
 
 

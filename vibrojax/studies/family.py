@@ -97,7 +97,8 @@ def follow(
     At a *grazing* point, an impact or another event appears or vanishes; if a stick phase does, the point is a *stick*
     point. If the event is not an impact, `special_note` names the discrete states whose events change their order.
     Multipliers at a special point are computed on the side from which the point was reached, unless orbits exist only
-    on the other side.
+    on the other side. Where multipliers grow without limit towards a graze, the value of the parameter and the state
+    are extrapolated to it; multipliers and `impacts` are those of the last orbit before it.
 
     Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
     mirror image of an orbit counts as another orbit.

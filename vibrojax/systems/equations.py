@@ -10,10 +10,10 @@ import numpy as np
 from vibrojax.lazy import jnp, lax
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Guard, Start, Values
-from vibrojax.scenes.scene import Scene
+from vibrojax.scenes.scene import ROUNDINGS, Scene
 from vibrojax.systems.events import Event, Friction, Impact, Switch
 from vibrojax.systems.flow import Flow, Motion, SystemConstants, onto_zero
-from vibrojax.systems.numbers import Plain, slope_along
+from vibrojax.systems.numbers import Plain, Rounded, slope_along
 from vibrojax.systems.transitions import (
     LIFT_ROUNDINGS,
     Places,
@@ -289,29 +289,42 @@ class SystemEquations(Scene[SystemConstants]):
         return bool(self._at_section)
 
     def start(self, c: SystemConstants, name: Start, shape: tuple[int, ...]) -> Values:
-        """Return the initial state, NaN for a start beyond a stop, a restitution outside 0 to 1, or a mass up to 0."""
+        """Return the initial state, NaN for a stop, a mass or a friction that is among the `start_faults`."""
         given = (0.0,) * len(self._own) if name is None or isinstance(name, str) else name
         y = {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in zip(self._own, given, strict=True)}
         y |= {key: jnp.full(shape, value, c.rates[0].dtype) for key, value in self._discrete.items()}
         zero = jnp.zeros(shape, c.rates[0].dtype)
         state = self._with_known((zero,) * len(self.states), y)
-        fails = [(gap < 0) | (r < 0) | (r > 1) for _, gap, r in self._stops(c.p, zero, y)]
+        fails = [beyond | (r < 0) | (r > 1) for _, _, beyond, r in self._stops(c.p, zero, y)]
         fails += [event.inertia(c.p) + zero <= 0 for _, event in self._flow.of(Friction) if callable(event.mass)]
+        fails += [slope < 0 for _, slope in self._opposing(c.p, zero, y)]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
     def has_no_field(self, c: SystemConstants, mode: Values, state: Values) -> Any:
         """Return a mask of the states beyond a rigid stop, and of those in which friction holds a body, or just not."""
         t, y = self._known(state)
-        without = [gap < 0 for _, gap, _ in self._stops(c.p, t, y)]
+        without = [beyond for _, _, beyond, _ in self._stops(c.p, t, y)]
         for index, _ in self._flow.of(Friction):
             relative = self._flow.surface(c, mode, index, t, y)
             without.append((mode[index] == 0) | (jnp.abs(relative) <= c.lifts[index]))
         return functools.reduce(operator.or_, without, False)
 
-    def _stops(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
-        """Return name, gap and restitution of each stop."""
-        stops = [(event.name, event) for _, event in self._flow.of(Impact) if is_stop(event)]
-        return [(name, stop.gap(t, y, p), stop.bounce(p) + 0.0 * t) for name, stop in stops]
+    def _stops(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[str, Any, Any, Any]]:
+        """Return name, gap, a mask of gaps below zero by more than rounding errors, and restitution of each stop."""
+        stops, known = [], {name: Rounded(x, abs(x)) for name, x in y.items()}
+        for event in (event for _, event in self._flow.of(Impact) if is_stop(event)):
+            gap = event.gap(t, y, p)
+            beyond = gap < -ROUNDINGS * jnp.finfo(gap.dtype).eps * event.gap(t, known, p).size
+            stops.append((event.name, gap, beyond, event.bounce(p) + 0.0 * t))
+        return stops
+
+    def _opposing(self, p: Mapping[str, Any], t: Any, y: Mapping[str, Any]) -> list[tuple[Friction, Any]]:
+        """Return each friction with the change of its relative velocity per change of the velocity on which it acts."""
+        slopes = []
+        for _, event in self._flow.of(Friction):
+            relative = lambda t, y, event=event: event.surface(t, y, p)  # noqa: E731
+            slopes.append((event, slope_along(relative, t, y, [float(name == event.acts_on) for name in y], 0.0)))
+        return slopes
 
     @np.errstate(all="ignore")
     def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
@@ -321,9 +334,9 @@ class SystemEquations(Scene[SystemConstants]):
         t = 0.0 * next(iter(y.values()))
         y |= {name: t + value for name, value in self._discrete.items()}
         faults: list[tuple[str, str, Any]] = []
-        for name, gap, r in self._stops(p, t, y):
+        for name, gap, beyond, r in self._stops(p, t, y):
             text = f"the gap of {name} is {_first(gap):.6g}; it must not be negative"
-            faults.append(("beyond-a-stop", text, gap < 0))
+            faults.append(("beyond-a-stop", text, beyond))
             text = f"the restitution of {name} is {_first(r):.6g}; it must lie between 0 and 1"
             faults.append(("restitution-not-0-to-1", text, (r < 0) | (r > 1)))
         sides = {event.name: np.sign(event.surface(t, y, p)) for event in self.events if isinstance(event, Switch)}
@@ -335,6 +348,9 @@ class SystemEquations(Scene[SystemConstants]):
             mass = event.inertia(p) + t
             text = f"the mass of {event.name} is {_first(mass):.6g}; it must be above 0"
             faults.append(("mass-not-above-zero", text, mass <= 0))
+        for event, slope in self._opposing(p, t, y):
+            text = f"relative of {event.name} falls where {event.acts_on} rises, so that friction would drive it"
+            faults.append(("friction-drives", text, slope < 0))
         for name, rate in self._flow.function.function(t, y, p, *([sides] if self._flow.takes_sides else [])).items():
             rate = rate + t
             text = f"the field, {name}, is {_first(rate):g} at the start; it must be finite"

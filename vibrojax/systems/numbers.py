@@ -106,7 +106,7 @@ class Rounded(_Number):
         self.value, self.size = value, size
 
     def _split(self, other: Any) -> tuple[Any, Any]:
-        return (other.value, other.size) if isinstance(other, Rounded) else (other, jnp.abs(other))
+        return (other.value, other.size) if isinstance(other, Rounded) else (other, abs(other))
 
     # A size is at least the magnitude of the value. It thus includes the rounding error of a product with a parameter.
 
@@ -120,8 +120,8 @@ class Rounded(_Number):
         if isinstance(other, Dual):
             return other * self
         if not isinstance(other, Rounded):
-            return type(self)(self.value * other, self.size * jnp.abs(other))
-        size = self.size * jnp.abs(other.value) + other.size * jnp.abs(self.value)
+            return type(self)(self.value * other, self.size * abs(other))
+        size = self.size * abs(other.value) + other.size * abs(self.value)
         return type(self)(self.value * other.value, size)
 
     def __truediv__(self, other: Any) -> Any:
@@ -130,10 +130,10 @@ class Rounded(_Number):
         if not isinstance(other, Rounded):
             return self * (1.0 / other)
         quotient = self.value / other.value
-        return type(self)(quotient, (self.size + other.size * jnp.abs(quotient)) / jnp.abs(other.value))
+        return type(self)(quotient, (self.size + other.size * abs(quotient)) / abs(other.value))
 
     def __rtruediv__(self, other: Any) -> Any:
-        return type(self)(other, jnp.abs(other)) / self
+        return type(self)(other, abs(other)) / self
 
 
 class Magnitude(Rounded):
