@@ -207,7 +207,7 @@ def _setting(field: "Field[Any]", text: str) -> object:
             example = field.metadata.get("example", "A,B")
             raise InputError(f"{option}: {shown(text)} is not a pair of names; write two, like {example}")
         return tuple(items)
-    if kind == "bool":
+    if kind.startswith("bool"):
         if text not in ("true", "false"):
             raise InputError(f"{option}: {shown(text)} is neither true nor false")
         return text == "true"

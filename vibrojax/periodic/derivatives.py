@@ -89,11 +89,6 @@ class OrbitFeatures(NamedTuple):
         """Return the derivatives of states and determinants along one direction of the parameters for each orbit."""
         return np.einsum("lksj,lj->lks", self.state_derivatives, way), (self.determinant_derivatives * way).sum(axis=1)
 
-    @property
-    def valid(self) -> Bool[np.ndarray, " orbits"]:
-        """Mask of the orbits of which all values and derivatives hold."""
-        return np.asarray((self.reason == 0).all(axis=1))
-
 
 def orbit_variables(scene: Scene[Any]) -> tuple[str, ...]:
     """Return the names of the features of a scene's orbits that can be differentiated."""

@@ -344,7 +344,7 @@ def work_precision(ds: xr.Dataset) -> Picture:
     machine = {"processor": "machine unknown", "cores": "?", "jax": "?"} | table_of(ds, "machine")
     computer = printable("{processor}, {cores} cores, jax {jax}".format(**machine), 180)
     title, size = title_of(ds, "Speed against error"), (3.1 * wide + 2.2, 3.0 * deep + 0.35)
-    return Sheet(plots, size, (1.0,) * wide, (1.0,) * deep, [keys], title, computer)
+    return Sheet(plots, size, keys=[keys], title=title, note=computer)
 
 
 def _layers(ds: xr.Dataset) -> list[Layer]:

@@ -238,7 +238,7 @@ def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
             plots.append(Plot(layers, across, up, "" if i else title, place, at(facet)))
     size = _PANEL[0] * wide + 1.8, _PANEL[1] * rows * len(names) + 0.8
     plots.sort(key=lambda plot: plot.place)
-    return Sheet(plots, size, (1.0,) * wide, (1.0,) * (rows * len(names)))
+    return Sheet(plots, size)
 
 
 def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:

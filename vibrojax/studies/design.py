@@ -63,7 +63,7 @@ def design_picture(ds: xr.Dataset) -> Sheet:
     what = f"Best: {_best_text(ds)} at {_place_text(best, names)}"
     required = str(ds.attrs.get("requirements", "")).replace(" ± ", "\u00a0±\u00a0")
     about = margins(ds, point=f"{what}. Requirements: {required}")
-    return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), (1.0,) * columns, (1.0,) * rows, **about)
+    return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), **about)
 
 
 def _plane(ds: xr.Dataset, names: list[str]) -> Plot:

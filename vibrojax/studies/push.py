@@ -71,7 +71,7 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
     keys.append(key("greatest push tried", **_BOUND))
     none_leaves = "No push up to the greatest tried leaves the working cycle"
     about = margins(ds, none_leaves if returning and not (leaving or several) else "")
-    return Sheet(plots, (8.6, 2.3 * rows + 0.6), (1.0, 1.0), (1.0,) * rows, [keys], **about)
+    return Sheet(plots, (8.6, 2.3 * rows + 0.6), keys=[keys], **about)
 
 
 def _curves(ds: xr.Dataset, state: str) -> Plot:

@@ -180,7 +180,7 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
         for name in names
     )
     size = 1.8 + 2.6 * len(names), 0.9 + 2.2 * len(rows)
-    return Sheet(plots, size, (1.0,) * len(names), (1.0,) * len(rows), [keys], **margins(ds, box, note))
+    return Sheet(plots, size, keys=[keys], **margins(ds, box, note))
 
 
 SAMPLE_VARIABLES = {
