@@ -76,7 +76,7 @@ def test_constants():
     assert f"at least {lane_stages.EARLY_END_MIN_SECONDS:,.0f} simulated seconds, or" in methods
     starts = f"at least {lane_stages.SHARING_MIN_STARTS} starts"
     assert f"or {lane_stages.SHARING_MIN_SECONDS:,.0f} if each point has {starts}" in methods
-    assert f"If a point has {starts}, the first lane" in methods
+    assert f"If a point has {starts}, its lanes share" in methods
     assert Located().coarser_by == 10 and "ten times coarser" in accuracy
     assert f"more than {certificate.GROWTH_RETURNS:g} returns" in accuracy and certificate.CHANGE == 1e-9
     assert f"chunks of {lane_stages.CHUNK:,} lanes" in large

@@ -100,9 +100,9 @@ def explore(
     **Arguments:**
 
     - `ds`, `over`, `sweep`: as for [vibrojax.write_page][].
-    - `live`: whether the notebook's kernel simulates the motion of the selected map cell, with a slider for every
-      parameter. If `live` is False, the sweep is run again, and the widget contains the motions of all lanes and works
-      without a kernel. By default, `live` is True if the scene belongs to the package.
+    - `live`: True to show a slider for every parameter, and to simulate the selected motion in the notebook's kernel.
+      If `live` is False, the sweep is run again, and the widget contains the motions of all lanes and works without a
+      kernel. By default, `live` is True if the scene belongs to the package.
 
     **Returns:** the widget. The traits `cell` (index along each axis) and `point` (value of each axis in SI units, and
     the initial condition by name or state) describe the selected map cell. The property `lane` of the widget is the

@@ -62,8 +62,8 @@ def read_log(
 ) -> pd.DataFrame:
     """Read a rig log as it was exported (CSV, LAS, WITSML, xlsx) into a table in SI units.
 
-    Rows during which the rig does not drill are dropped and counted by reason. If the table has no column that only
-    rigs record (for example, only relief and rate_of_penetration), all rows are kept.
+    Rows without drilling are dropped, and counted by reason. If the file is not the log of a rig, but for example a
+    table of relief and rate_of_penetration, all rows are kept.
 
     **Arguments:**
 
@@ -80,9 +80,13 @@ def read_log(
     **Returns:** a table with `depth` [m], `time` [s] since the first row, `weight_on_bit` [N], `rate_of_penetration`
     [m/s], `rotary_speed` [rad/s], `torque` [N m], `flow` [m3/s], `pressure` [Pa], `bit_diameter` [m] and
     `stick_slip_index` (as given), if the file has these quantities; `line`, the line number of each row in the file;
-    and all other columns of the file. `attrs`: `units` and `sources` by quantity, `dropped` (number of rows by reason),
-    `lines` (line numbers of these rows), `rows_read`, `notes`, `title`, `rig` (whether it is the log of a rig), and
-    `unusual` (columns whose stated unit gives values far from those of rigs: name, quantity, median [SI] and advice).
+    and all other columns of the file. The attributes `attrs` of the table are:
+
+    - `units`, `sources`: unit and source of each quantity.
+    - `rows_read`: number of rows. `dropped`: number of dropped rows by reason. `lines`: their line numbers.
+    - `rig`: True if the file is the log of a rig.
+    - `unusual`: name, quantity, median [SI] and advice for each column with an unlikely unit.
+    - `notes`, `title`.
 
     **Raises:** `InputError`, which lists all bad cells with column and line.
 

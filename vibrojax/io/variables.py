@@ -15,8 +15,8 @@ class Variable:
     - `dtype`: data type of the stored values.
     - `flags`: the meaning of each integer value, from `first_flag` (0 by default) upwards.
     - `along`: name of a dimension that the variable has in addition to the dimensions of the sweep; "" for none.
-    - `dims`: all dimensions of the variable, if these are the same in every dataset; `Analysis.dataset` then takes its
-      values alone, not (dimensions, values).
+    - `dims`: all dimensions of the variable, if these are the same in every dataset; then pass only the values of the
+      variable to `Analysis.dataset`.
     - `notes`: further attributes by name, such as a definition.
 
     **Example:**

@@ -67,15 +67,15 @@ def orbits(
 
     **Arguments:**
 
-    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset has no orbits, its sweep is run
-      again at the coordinates of the dataset.
+    - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset has no orbits, its lanes are
+      simulated again.
 
     **Returns:** the sweep's dataset with the additional variables listed here. If the orbit of a lane was found,
     `period` and the other measures of the lane are computed on the orbit.
 
-    - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`: modulus and argument of the multipliers, which
-      are the eigenvalues of the derivative of the n-th iterate of the return map, by decreasing modulus. `stable`: 1
-      (stable), 0 (unstable) or -1 (no multipliers).
+    - `multiplier_abs` [1], `multiplier_arg` [rad] along `multiplier`: modulus and argument of the multipliers, by
+      decreasing modulus. The multipliers are the eigenvalues of the derivative of the n-th iterate of the return map.
+      `stable`: 1 (stable), 0 (unstable) or -1 (no multipliers).
     - `orbit_reason`: *found*, or the reason why there is no orbit. *not-repeating*: the lane is not periodic.
       *refused*: the lane cannot be run. *not-converged*: Newton's method has not converged. *near-grazing*: the orbit
       is so close to grazing that multipliers have no meaning. *another-orbit*: the orbit is too far from the lane,
@@ -84,8 +84,8 @@ def orbits(
     - `orbit_residual`: the largest scaled difference between the image of a state under the return map and the next
       state of the orbit. `grazing_margin`: how far the orbit is from a change in the order of its events; the dataset's
       attribute `orbits` states the definition.
-    - `orbit_cycles`: the minimal number of section crossings per period of the orbit, which is less than `cycles` if
-      the lane is still settling on an orbit with a shorter period.
+    - `orbit_cycles`: section crossings per period of the orbit. The value is less than `cycles` if the lane is still
+      settling on an orbit with a shorter period.
     - `nearby_cycles`: section crossings per period of a stable orbit near a lane that is irregular or undecided, or 0
       if no such orbit was found. `nearby_impacts`: impacts per period of this nearby orbit. `nearby_distance`: distance
       of the lane from the nearby orbit, in units of the amplitudes.

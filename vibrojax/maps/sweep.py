@@ -35,7 +35,7 @@ class Sweep:
     - `name`: file name of the output, without extension.
     - `text`: the sweep as TOML.
     - `title`: free text.
-    - `file`: name of the sweep file, for messages.
+    - `file`: name of the sweep file, which error messages state.
     - `scene`: name of the scene. `system`: the scene object.
     - `options`: chosen value of each option of the scene, such as the name of the friction law.
     - `starts`: initial conditions, as names or vectors such as (x1, x1', x2, x2') [m, m/s]; None for a scene with a
@@ -43,7 +43,7 @@ class Sweep:
     - `parameters`: all fixed parameters by name, in SI units. `given`: the parameters that the user specified.
     - `axes`: arrays of the values of each axis of the grid, by name in the order of the file; empty if only the initial
       condition varies.
-    - `points`: if a table of points replaces the grid, its columns by name, as arrays (points,).
+    - `points`: the columns of a table of points by name, as arrays (points,); None without such a table.
     - `run`: settings of the run.
 
     Fixed values of `rpm` and `bit_radius` are converted to `v` in `parameters`.

@@ -101,11 +101,11 @@ class Gauge(ABC, Generic[K]):
         return {}
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
-        """Return values, by name, that replace the sums of a return interval; `interval`: its duration [s]."""
+        """Return new values, by name, for sums of a return interval that has ended; `interval`: its duration [s]."""
         return {}
 
     def begin(self, scene: K, c: Any, lane: Lane) -> Any:
-        """Return the gauge's carry at the start of the observation."""
+        """Return the carry with which the gauge begins the observation."""
         return ()
 
     def step(self, scene: K, c: Any, carry: Any, moment: Moment) -> Any:

@@ -70,11 +70,11 @@ class FrictionLaw:
         return (_law, (self.name,)) if FRICTION_LAWS.get(self.name) is self else super().__reduce_ex__(protocol)
 
     def on_weight(self, speed: Value, p: Numbers) -> Any:
-        """Return the friction coefficient [1] under the weight m1 g at `speed` >= 0 [m/s] of any shape."""
+        """Return the friction coefficient [1] under the weight m1 g; `speed` >= 0 [m/s]: an array of any shape."""
         return self._value("mu", self.mu, speed, p)
 
     def on_impact(self, speed: Value, p: Numbers) -> Any:
-        """Return the friction coefficient [1] under the impact force J at `speed` >= 0 [m/s] of any shape."""
+        """Return the friction coefficient [1] under the impact force J; `speed` >= 0 [m/s]: an array of any shape."""
         return self._value("mu_impact" if self.mu_impact else "mu", self.mu_impact or self.mu, speed, p)
 
     def _value(self, name: str, function: Coefficient, speed: Value, p: Numbers) -> Any:

@@ -61,7 +61,7 @@ class HasFriction(Scene[C]):
 
     @abstractmethod
     def flight_rate(self, c: C) -> Any:
-        """Return an upper bound on the rate of change [1/s] of the states without impact, to reject stiff lanes."""
+        """Return an upper bound on the rate of change [1/s] of the states out of contact; stiff lanes are rejected."""
 
     @abstractmethod
     def spring_rate(self, c: C) -> Any:

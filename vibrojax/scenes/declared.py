@@ -38,7 +38,7 @@ class State(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A discrete state: its `name`, the `meaning` of its values, and the value `calmest`, at which steps are longest.
+    """A discrete state: its name, the `meaning` of its values, and the value `calmest`, at which the motion is slowest.
 
     **Example:**
 
@@ -54,9 +54,9 @@ class Mode(NamedTuple):
 class Marker(NamedTuple):
     """A state, mostly a velocity, that serves as an event function: a step ends where the state crosses zero.
 
-    At the end of a step on a marker, the state of the marker is set to zero. The field `velocity` of a marker names its
-    state: a velocity, or another state of similar magnitude, such as the phase of a forcing. No guard may have the same
-    zeros as a marker.
+    Where a step ends at a zero of a marker, the state is set to exactly zero. The field `velocity` holds the name of
+    the state. A state that is not a velocity, such as the phase of a forcing, must have values of similar magnitude. No
+    guard may have the same zeros as a marker.
 
     **Example:**
 
@@ -80,8 +80,8 @@ class Guard:
     - `slope_resolution`: function `slope_resolution(constants, mode, h)`; if the first-order change of the guard over a
       step `h` [s] is smaller than the returned value, the change counts as zero. By default, this value is 16 times
       `resolution`.
-    - `is_switch`: True if the vector field jumps at the guard, as dry friction does. A smoothing stepper spreads the
-      jump of the field over a width of velocities.
+    - `is_switch`: True if the vector field jumps at the guard, as it does where dry friction changes its sign. A
+      smoothing stepper spreads the jump of the field over a width of velocities.
 
     **Example:**
 
@@ -102,9 +102,9 @@ class Guard:
 class Swing(NamedTuple):
     """Names of an oscillating state, of its rate of change, and of the dataset variable for its amplitude.
 
-    The amplitude is half the peak-to-peak range of the state `position`. If a marker and a swing name the same
-    `velocity`, steps end at the turning points of the swing's position. If the section has the field `at`, the first
-    swing may have the velocity None.
+    The amplitude is half the peak-to-peak range of the state `position`. If the `velocity` of a swing is also a marker,
+    steps end at the turning points of the position. If the section has the field `at`, the first swing may have the
+    velocity None.
 
     **Example:**
 
@@ -128,8 +128,8 @@ class Section:
     and on the velocities of all swings but the first. For this check, a position is divided by its amplitude a, and a
     velocity by 2 pi a/T, where T is the time between crossings.
 
-    To make a periodically forced system autonomous, add the phase of the forcing as a state, and an event at a phase
-    other than zero that reduces the phase by one full period.
+    To make a periodically forced system autonomous, add the phase of the forcing as a state. Add an event that reduces
+    the phase by one full period; this event must not be at phase zero.
 
     If `typical(constants)` returns typical magnitudes of the positions by name, periodic motions are detected as in a
     `vj.System`.

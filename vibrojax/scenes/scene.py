@@ -46,9 +46,9 @@ class Scene(ABC, Generic[C]):
     - `start_states`: the states that a vector of initial conditions specifies, in order; all other states begin at
       zero.
     - `measures`: the gauges (groups of measured quantities) of the scene, as objects or names.
-    - `choices`: for each option that users specify by name, a registry of values by name. An option that is a field of
-      the dataclass, such as `friction`, takes the registry's value. The value of an option that is not a field, such as
-      `rock`, is an object whose attributes, such as `threshold` and `k3`, become parameters of the scene. A subclass
+    - `choices`: for each option that users specify by name, a registry of values by name. If an option is a field of
+      the dataclass, as `friction` is, the chosen value becomes the value of the field. If not, as with `rock`, the
+      value is an object whose attributes, such as `threshold` and `k3`, become parameters of the scene. A subclass
       extends the registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
     - `choice_meanings`: for each option that sets several parameters, the `long_name` of its variable in datasets.
     - `autonomous`: True if the equations do not depend on time.
@@ -135,7 +135,7 @@ class Scene(ABC, Generic[C]):
 
     @abstractmethod
     def speed_scale(self, c: C) -> Any:
-        """Return a typical velocity [m/s], the scale of a step's relative error."""
+        """Return a typical velocity [m/s], by which the error of a step is divided."""
 
     # Most scenes keep these defaults.
 

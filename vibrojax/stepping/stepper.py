@@ -47,7 +47,8 @@ class Step(NamedTuple):
     - `polynomials`: `polynomials[i][k]` is the coefficient of s^k in the polynomial of state i, where s = time/h runs
       from 0 to `tau`.
     - `h` [s]: time unit of `tau`; `dt` [s]: duration of the step, 0 if no step was taken.
-    - `hits`: for each guard and marker, by name, a mask of the lanes whose step ended on its zero.
+    - `hits`: for each guard and marker, by name, a mask of the lanes whose step ended at a zero of this guard or
+      marker.
     - `falling`: for each marker, a mask of the lanes in which the marker crosses zero downwards.
     """
 
@@ -121,7 +122,7 @@ class Stepper(ABC):
     - `coarser_by`: tolerance (or smoothing width) of the check run divided by that of the main run; the error is
       estimated from the check run.
     - `check_settles`: how much longer a lane settles in its check run than in its main run, as a fraction of the
-      settling time. If `check_settles` is zero, the check run must stay close to the main run.
+      settling time. Choose zero only if coarser steps hardly change the motion.
     - `smooths`: True if the stepper smooths dry friction over a width, so that the bit never sticks.
     - `rests`: True if the stepper treats motion within rounding error as rest, and rejects lanes that are too stiff or
       too slow for the floating-point precision.

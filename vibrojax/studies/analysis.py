@@ -98,8 +98,7 @@ class Analysis(Settings):
     """
 
     subject: ClassVar[str] = "sweep"
-    """Input of the command: "sweep", "machines" (a scene with parameters, as SCENE NAME=VALUE) or "file".
-    """
+    """Kind of input of the command: "sweep", "machines" (a scene and its parameters, SCENE NAME=VALUE) or "file"."""
 
     kind: ClassVar[str] = ""
     """Value of the attribute `kind` of the analysis's datasets, and name of the command."""
@@ -193,12 +192,12 @@ class Analysis(Settings):
         of: "Sweep | None" = None,
         **attributes: object,
     ) -> xr.Dataset:
-        """Return a dataset of this kind with title, provenance and history; known variables receive units and meanings.
+        """Return a dataset of this kind, with title, provenance and history.
 
-        **Arguments:** `variables`: (dimensions, values) by name; a variable that the class attribute `variables` does
-        not describe needs (dimensions, values, attributes). `coords`: coordinates in the same form. `of`: a sweep,
-        whose scene and parameters are recorded in the dataset. `attributes`: further dataset attributes, such as
-        `title`.
+        **Arguments:** `variables`: (dimensions, values) by name, which receive the units and meanings in the class
+        attribute `variables`; a variable that is not described there needs (dimensions, values, attributes). `coords`:
+        coordinates in the same form. `of`: a sweep, whose scene and parameters are recorded in the dataset.
+        `attributes`: further dataset attributes, such as `title`.
         """
         title, command = str(attributes.pop("title", self.kind)), self.command or self.kind
         if of is None:

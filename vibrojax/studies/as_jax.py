@@ -255,11 +255,15 @@ class OrbitFunction:
         return values | {VALID: jax.lax.stop_gradient(results[-1]) > 0.5}
 
     def reason(self, x: Any) -> str:
-        """Return why the function is not valid at `x` (parameters,), or "none" where it is valid.
+        """Return the reason why the function is not valid at `x` (parameters,), or "none" if it is valid.
 
-        The text of a reason begins with "undefined" (`x` is not a number, or the orbit lacks a feature or a
-        derivative), "refused" (`simulate` rejects `x`), "no-orbit" (there is no first orbit), "beyond-branch" (the
-        first orbit ends on the way to `x`) or "unstable".
+        The text of a reason begins with one of these words:
+
+        - "undefined": `x` is not finite, or the orbit lacks a feature or a derivative.
+        - "refused": `simulate` rejects `x`.
+        - "no-orbit": the first orbit was not found.
+        - "beyond-branch": the branch of the first orbit ends between the first point and `x`.
+        - "unstable": the orbit at `x` is unstable.
         """
         check_untraced(Place("as_jax", "reason").error, x)
         return self._branch.reason(np.array(self._checked(np.asarray(x)), float))
@@ -318,7 +322,7 @@ def as_jax(
     - `of`: features of orbits, as in `sensitivity`; `by`: parameters, in the order in which an array holds their
       values.
     - `at`: parameter values at which the motion from `start` settles on the first orbit.
-    - `outside`: result where the function is not valid: "nearest" for values and gradients of the last valid orbit, or
+    - `outside`: result where the function is not valid, "nearest" (values and gradients of the last valid orbit) or
       "nan".
 
     **Returns:** a function of an array (parameters,), which returns a dict of scalars: the requested features,

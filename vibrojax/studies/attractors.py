@@ -90,7 +90,7 @@ _MOST_FACETS, _MOST_COLUMNS, _PANEL = 6, 3, (4.2, 2.0)  # _PANEL: width and heig
 def attractors(
     source: xr.Dataset | str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True
 ) -> xr.Dataset:
-    """Find the attractors that a sweep's initial conditions reach, and the fraction that leads to each attractor.
+    """Find the attractors of a sweep, and the fraction of initial conditions that leads to each attractor.
 
         att = vj.attractors(ds)
 

@@ -307,10 +307,10 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
         fit = vj.calibrate({"scene": "vibro-impact", "start": "stuck", "data": runs, "unknown": {"mu": [0.2, 0.6]}})
 
     Each observation is one row of a table: operating conditions, which are parameters of the scene, and observed
-    variables of the orbit (period, forces, velocities, powers, rates). The orbit of the best of several sampled motions
-    is continued to the operating conditions of each row. SciPy's `least_squares` minimises the residuals, with
-    derivatives of the orbits through all impacts and stick phases. Rows without a stable orbit at the end of a search
-    are left out. Of several searches, the result with the greatest likelihood is kept.
+    variables of the orbit (period, forces, velocities, powers, rates). Each search begins with the best of several
+    sampled motions, whose orbit is continued to the operating conditions of each row. SciPy's `least_squares` minimises
+    the residuals, with derivatives of the orbits through all impacts and stick phases. Rows without a stable orbit at
+    the end of a search are left out. Of several searches, the result with the greatest likelihood is kept.
 
     The data may also be a recording of the bit's velocity over time, instead of rows or in addition to rows. A
     recording is compared with a simulated motion, whose initial state is estimated too, unless it is given.
@@ -331,8 +331,8 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     - `[unknown]` has NAME = [low, high] for each parameter to estimate; `[prior]` has NAME = [mean, standard
       deviation]; `[error]` has NAME = standard error of a variable. If no standard errors are given, all observed
       values have the same relative error, which is estimated from the residuals.
-    - `searches` (number of searches, default 3), `draws` (number of draws from the posterior, default 1000), `seed`
-      (default 0), `title`.
+    - `searches`: number of searches, by default 3. `draws`: number of draws from the posterior, by default 1000.
+      `seed`: by default 0. `title`.
 
     **Returns:** a dataset. Variables along `parameter` are `estimate`, `estimate_stderr`, the 95 % interval from
     `estimate_low` to `estimate_high`, and `reason`. Further variables are the `correlation` of parameters, combinations

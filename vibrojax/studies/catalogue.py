@@ -42,7 +42,7 @@ def scene_rows() -> dict[str, dict[str, str]]:
 
 
 def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
-    """Return a table of a scene's parameters, including those of friction laws, and substitutes such as `rpm` for `v`.
+    """Return a table of the parameters of a scene and its friction laws, and of substitutes such as `rpm` for `v`.
 
     The columns are `symbol`, `default`, `units`, `range` (admissible values), `usual`, `meaning` and `where`. The
     column `usual` is the range in Batako's thesis and on drilling rigs; values far outside the usual range cause a
@@ -66,8 +66,9 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
         partner = {"rpm": ", together with bit_radius", "bit_radius": ", together with rpm"}.get(name, "")
         where = f"given in place of {REPLACED[name]}{partner}"
         if name == "bit_radius" and isinstance(names.system, HasRock):
-            parameter = replace(parameter, default=HOLE_RADIUS, long_name="radius of the hole, at which the bit slides")
-            where = f"needed for specific_energy; may also be {where}"
+            meaning = "radius of the hole and of the circle on which the bit slides"
+            parameter = replace(parameter, default=HOLE_RADIUS, long_name=meaning)
+            where = f"needed for specific_energy, or {where}"
         groups.append((where, [parameter]))
     rows = [
         {

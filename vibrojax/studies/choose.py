@@ -50,11 +50,11 @@ def picture(
     - `ds`: dataset of `simulate`, of a sweep, or of an analysis.
     - `variable`: name of the variable to draw, or a list of up to four names (eight for a result of `simulate`). The
       variable "return_x", the state x at the section crossings, gives a bifurcation diagram.
-    - `where`: value of each axis or coordinate by name, in the units of the dataset; only lanes with these values are
+    - `where`: values of some axes or coordinates by name, in the units of the dataset; only lanes with these values are
       drawn. Example: `{"delta": 0.005, "start": "stuck"}`. Selected values must agree with the dataset to four digits.
       At most 300,000 lanes are drawn.
     - `colours`: name of a matplotlib colour map for quantities. Regimes, initial conditions and the forms of a fitted
-      law always have the same colours.
+      law have fixed colours.
     - `over`: datasets to draw on top of the picture. A result of `follow` can be drawn on top of a bifurcation diagram
       of a sweep over the same parameter, and a result of `borders` or `curves` on top of a map of regimes.
     - `diagram`: name of a diagram, in place of the default picture. The diagram "campbell" shows the frequencies of a

@@ -259,9 +259,9 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
       half the difference between the effects of a parameter at the high and at the low level of another parameter.
     - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of
       lanes with a single impact; `regime_share`: share of lanes in each regime.
-    - `set_to_zero`, `averaged`, `left_out`, `corners_left_out`: numbers of lanes that count as 0, of lanes that count
-      with a mean value, and of base samples and corners that are left out; the attribute `rules` states when.
-      `sobol_reason`: reason why the dataset lacks Sobol indices.
+    - `set_to_zero`: number of lanes without impacts that count as 0. `averaged`: number of irregular lanes that count
+      with their mean values. `left_out`, `corners_left_out`: numbers of base samples and corners that are left out. The
+      attribute `rules` states the conditions. `sobol_reason`: reason why the dataset lacks Sobol indices.
 
     **Raises:** `InputError` if the study is invalid or SALib is not installed.
 

@@ -80,9 +80,9 @@ def follow(
       are the values in the family of equilibria, and `at` is not needed.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation, which must cover nine section crossings.
       By default, `settle` and `observe` are the default times of the scene.
-    - `cycles`: period-doubled branches are followed up to this number of section crossings per period; 1 (no such
-      branches) to 8. With `cycles=0`, `follow` continues equilibria; Newton's method finds the first equilibrium,
-      stable or not, near the initial condition.
+    - `cycles`: greatest number of section crossings per period of the period-doubled branches, at most 8; with
+      `cycles=1`, no such branches are followed. With `cycles=0`, `follow` continues equilibria; Newton's method finds
+      the first equilibrium, stable or not, near the initial condition.
 
     **Returns:** a dataset.
 
@@ -94,14 +94,13 @@ def follow(
       branch-point, end, or the name of a system's switch), `special_value` (value of the parameter), `special_branch`
       (number of the branch), and `special_note`.
 
-    At a *grazing* point, an impact or another event appears or vanishes; if a stick phase does, the point is a *stick*
-    point. If the event is not an impact, `special_note` names the discrete states whose events change their order.
-    Multipliers at a special point are computed on the side from which the point was reached, unless orbits exist only
-    on the other side. Where multipliers grow without limit towards a graze, the value of the parameter and the state
-    are extrapolated to it; multipliers and `impacts` are those of the last orbit before it.
+    At a *grazing* point, an impact or another event appears or vanishes; at a *stick* point, a stick phase does. If the
+    event at a grazing point is not an impact, `special_note` names the discrete states that it affects. Multipliers at
+    a special point are computed on the side from which the point was reached, unless orbits exist only on the other
+    side. Where multipliers grow without limit towards a graze, the value of the parameter and the state are
+    extrapolated to it; multipliers and `impacts` are those of the last orbit before it.
 
-    Families of autonomous systems without events are solved by multiple shooting, and do not depend on the section. The
-    mirror image of an orbit counts as another orbit.
+    The mirror image of an orbit counts as another orbit.
 
     A family of equilibria has `cycles` 0 and `period` NaN; the states of the equilibrium replace the states at the
     section. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and `eigenvalue_im`

@@ -165,8 +165,8 @@ def smallest_push(
     motion settles for `settle` seconds and is observed for `observe` seconds. A *leaving push* is a push after which
     the motion does not return to the working cycle.
 
-    Repeated scans search for the smallest leaving push, and the interval between this push and the next smaller push is
-    narrowed.
+    Repeated scans search for the smallest leaving push. The bracket between this push and the greatest returning push
+    below it is then narrowed.
 
     **Arguments:**
 
@@ -176,7 +176,7 @@ def smallest_push(
       condition.
     - `most`: greatest push in each state variable, by name (x1, x2 [m], v1, v2 [m/s]). The default for a position is
       its peak-to-peak range over the cycle, and the default for a velocity is this range times 2 pi/period.
-    - `scan`: number of pushes per scan and direction; `precision`: relative width of the final bracket.
+    - `scan`: number of pushes per scan and direction; `precision`: relative width to which the bracket is narrowed.
     - `settle` [s]: settling time; `observe` [s]: duration of the observation; by default as in a sweep of the scene.
 
     **Returns:** a dataset.

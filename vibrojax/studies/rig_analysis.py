@@ -95,8 +95,8 @@ def rig(
     summaries, "driller" (m/h, rpm, kN, MPa) or "si". The dataset is in SI units.
 
     **Returns:** the log with `specific_energy`, `percussive_specific_energy` [J/m³] and `torque_stick_slip` along
-    `row`, and with `founder_weight` [N], `slope_below`, `slope_above` and `founder_reason`. If the log lacks the
-    columns for a quantity, its values are NaN, and the attribute `notes` states why.
+    `row`, and with `founder_weight` [N], `slope_below`, `slope_above` and `founder_reason`. A quantity whose columns
+    are missing from the log is NaN, and the attribute `notes` states why.
 
     **Raises:** `InputError` if the log cannot be read.
 

@@ -123,15 +123,15 @@ def fit_rop(
     counted. Standard errors (HC3) are valid for noise of constant size and for noise proportional to the rate.
 
     A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate of penetration does
-    not rise, the forms are fitted to the rows below this weight. In logs of 50 rows or more, a jackknife over blocks of
-    rows gives the standard errors, and the cross-validation error `cv_error` compares the forms.
+    not rise, the forms are fitted to the rows below this weight. In logs of 50 rows or more, standard errors come from
+    a jackknife over blocks of rows, and the forms are compared by their cross-validation errors `cv_error`.
 
     **Arguments:**
 
     - `data`: a dataset with rate_of_penetration [m/s], relief [1] and optionally regime; the path of such a dataset
       (.nc); the path of a rig log (see `read_log`); or a DataFrame with the columns of a rig log.
-    - `along`: axis along which the lanes of a group vary, by default frequency, v or point. Lanes with equal values on
-      all other axes form a group.
+    - `along`: axis along which the lanes of a group vary, by default the first of frequency, v and point that the data
+      have, or their only axis. Lanes with equal values on all other axes form a group.
     - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
       `along` names a column, `by` defaults to all other columns except mean_force.
     - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation

@@ -137,16 +137,15 @@ def sensitivity(
         vj.sensitivity("vibro-impact", of=["period"], by=["beta"], start="stuck", delta=0.005)  # at one point
 
     The implicit function theorem gives the derivative of the state s at the section, a fixed point of the return map P:
-    ds/dp = (1 - P_s)^-1 P_p. The features are measured over one period of the orbit, and the tangent (ds/dp, dp) is
-    propagated with it through all events. Unstable orbits have derivatives, too.
+    ds/dp = (1 - P_s)^-1 P_p. The features are measured over one period of the orbit. Over this period, the tangent
+    (ds/dp, dp) is propagated through all events. Unstable orbits have derivatives, too.
 
     **Arguments:**
 
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset has no orbits, its sweep is run
       again.
     - Instead of a sweep, `source` can be a scene or its name. For a scene, the function differentiates the orbit on
-      which the motion settles for the given `start` and `parameters` (SI, as in `simulate`). A name that denotes both a
-      scene and a bundled sweep, such as "drilling", means the scene if further arguments specify a point.
+      which the motion settles for the given `start` and `parameters` (SI, as in `simulate`).
     - `by`: parameters of the scene, by default all.
     - `of`: variables to differentiate at a single point, by default all variables that vary smoothly. `settle`,
       `observe` [s]: as in a sweep.

@@ -169,7 +169,7 @@ class SweepAnalysis(Analysis):
         return sweep_with_orbits(source)
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
-        """Return, as flat JSON values, the settings on which the result depends besides the sweep."""
+        """Return the settings, other than the sweep, on which the result depends, as flat JSON values."""
         return {self.kind: True}
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:

@@ -78,8 +78,8 @@ def simulate(
     **Arguments:**
 
     - `scene`: "rotary", "vibro-impact", "penetration", "drilling" or "coupled-drilling", or a scene object.
-    - `parameters`: the scene's parameters by name, in SI units; also the names of its `friction` law, `pulse_shape` or
-      `rock`.
+    - `parameters`: values of the scene's parameters by name, in SI units. The parameters `friction`, `pulse_shape` and
+      `rock` take names.
     - `start`: initial condition: "drive" (default), "stuck", "touching", or a vector [x1, x1', x2, x2'] [m, m/s].
     - `duration`: simulated time [s]; by default 20 s, or 50 cycles of a `vj.System`.
     - `method`: "located" (default; steps end exactly at events), "smoothed" (friction without a jump), or "diffrax" (a

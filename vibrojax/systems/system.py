@@ -56,8 +56,9 @@ class System(SystemScales):
     - `period`: period T of the forcing [s], a number or a function of `p`; the section of a forced system is at the
       times 0, T, ...
     - `section`: for a system without forcing, a state name, a pair (state name, level), or a function
-      `section(t, y, p)`; the section is where the state or function rises through zero or the level. A system without
-      `period` and `section` can be simulated but not measured.
+      `section(t, y, p)`. A motion crosses the section where the state or function rises through the level, by default
+      zero. A system
+      without `period` and `section` can be simulated but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
     - `modes`: a dict with the initial value of each discrete state. The resets of events change discrete states, and
       functions read a discrete state as `s[name]`.
