@@ -26,6 +26,7 @@ def refusal(source) -> str:
         ("0.3,0.7\n0.4,0.7\n", 'p.csv: line 1: "0.3, 0.7" are numbers; the first line names the columns'),
         ("beta,gamma\n0.3,1\n0.3\n", "p.csv: line 3: has 1 cells; 2 are needed"),
         ("beta\n0.3\nabc\n", 'p.csv: line 3, column beta: "abc" is not a number'),
+        ("beta\n0.3\n0_4\n", 'p.csv: line 3, column beta: "0_4" is not a number'),
         ("beta,start\n0.3,drvie\n", 'p.csv: line 2, column start: "drvie" is unknown; did you mean "drive"?'),
     ],
 )
