@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from systems import RELAY, ends, events_of, mass
+from systems import ends, events_of, mass
 
 import vibrojax as vj
 
@@ -19,15 +19,6 @@ cos = E.cos
 
 WALL = vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], velocity="v", restitution=0.5)
 RUB = vj.Friction("rub", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
-
-
-CIRCLE = {"x": "1", "y": "1"}
-
-
-def circle(t, y, p):
-    """r' = r (1 - r²), phi' = 1.4: on the unit circle, the multiplier is exp(-2 T) with the period T = 2 pi/1.4."""
-    growth = 1 - (y["x"] * y["x"] + y["y"] * y["y"])
-    return {"x": growth * y["x"] - 1.4 * y["y"], "y": 1.4 * y["x"] + growth * y["y"]}
 
 
 def test_block_rebounds_against_friction():
@@ -386,22 +377,6 @@ def test_switch_follows_velocity_through_impact():
     assert ends(block, [0.0, 1.0], 2.0, push=0.0) == pytest.approx([0.5, -0.5], abs=1e-8)
 
 
-def test_events_with_one_surface_are_refused():
-    """Two relations on the surface x = y (an issue of OpenModelica)."""
-    with pytest.raises(vj.InputError, match="a and b have the same surface"):
-        vj.System(
-            "two",
-            states={"x": "m", "y": "m"},
-            parameters={"q": 1.0},
-            period=1.0,
-            field=lambda t, y, p, s: {"x": -2.0 * s["a"], "y": -3.0 * (1 + s["b"]) / 2 + 1.5 * (1 - s["b"]) / 2},
-            events=[
-                vj.Switch("a", lambda t, y, p: y["x"] - y["y"]),
-                vj.Switch("b", lambda t, y, p: 2.0 * (y["y"] - y["x"])),
-            ],
-        )
-
-
 def test_events_without_end_are_refused():
     system = vj.System(
         "stuck-clock",
@@ -413,25 +388,6 @@ def test_events_without_end_are_refused():
     )
     with pytest.raises(vj.InputError, match="at 1 s, events follow one another without end"):
         vj.simulate(system, start=[0.0, 0.0], duration=3.0, progress=False)
-
-
-def test_floor_of_a_state_is_refused():
-    with pytest.raises(vj.InputError, match="floor of a value that depends on states"):
-        vj.System(
-            "steps", states={"x": "m"}, parameters={"k": 1.0}, period=1.0, field=lambda t, y, p: {"x": E.floor(y["x"])}
-        )
-
-
-@pytest.mark.parametrize(
-    ("section", "message"),
-    [
-        (lambda t, y, p: y["x"] - t, "must depend on states, and not on t"),
-        (3.0, "a pair of a state and a number, or a function"),
-    ],
-)
-def test_section_functions_that_cannot_be_used(section, message):
-    with pytest.raises(vj.InputError, match=message):
-        vj.System("circle", states=CIRCLE, parameters={"k": 0.3}, field=circle, section=section)
 
 
 @pytest.mark.long
@@ -481,12 +437,6 @@ def test_slide_that_pauses_within_a_step():
     leaves, low = np.pi + np.arcsin(1 / 1.002), 1.5 * np.pi
     motion = vj.simulate(slide, start=[0.0], duration=2.5 * (low - 3.0), sampling=(low - 3.0) / 100, progress=False)
     assert float(motion.y[100]) == pytest.approx(1.002 * (np.cos(leaves) - np.cos(low)) + low - leaves, abs=1e-9)
-
-
-@pytest.mark.long
-def test_motion_that_begins_on_a_sliding_surface():
-    """On x + y = 0, x decays as exp(-t)."""
-    assert ends(RELAY, [0.3, -0.3], 2.0)[0] == pytest.approx(0.3 * np.exp(-2.0), abs=1e-7)
 
 
 @pytest.mark.long
