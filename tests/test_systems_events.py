@@ -113,6 +113,57 @@ def test_negative_normal_force_ends_the_motion_or_lifts_off():
         vj.simulate(rubbed(lambda t, y, p: -1.0), start=[0.0, 0.0], progress=False)
 
 
+def contact(normal, **options):
+    """A body on a floor of friction 0.3, with a normal force [N/kg] that depends on the side of x = 1."""
+    side = vj.Switch("side", lambda t, y, p: y["x"] - 1.0)
+    floor = {"relative": lambda t, y, p: y["v"], "normal": normal, "law": 0.3, "acts_on": "v"}
+    return mass(lambda t, y, p, s: 0.0, side, vj.Friction("floor", **floor, **options))
+
+
+def test_normal_force_depends_on_the_side_of_a_switch():
+    """A force that would be negative on the other side ends no motion; one that is negative behind the switch does."""
+    beside = contact(lambda t, y, p, s: 10.0 + 1e5 * (y["x"] - 1.0) * (1 + s["side"]) / 2)
+    assert ends(beside, [0.0, 2.0], 0.4) == pytest.approx([0.56, 0.8], abs=1e-8)
+    # x'' = 0.3 (10 + 2 x) before: x + 5 is a sum of hyperbolic functions of 0.6^(1/2) t.
+    normal = lambda t, y, p, s: 10.0 + 2 * y["x"] - (1 - s["side"]) * 15.0  # noqa: E731
+    rate = np.sqrt(0.6)
+    at = lambda t: 7.0 * np.cosh(rate * t) - 5.0 / rate * np.sinh(rate * t) - 5.0  # noqa: E731
+    time = brentq(lambda t: at(t) - 1.0, 0.0, 0.5)
+    speed = 7.0 * rate * np.sinh(rate * time) - 5.0 * np.cosh(rate * time)
+    with pytest.raises(vj.InputError, match=f"ends at t = {time:.6g} s: negative normal force"):
+        vj.simulate(contact(normal), start=[2.0, -5.0], duration=1.0, progress=False)
+    assert ends(contact(normal, lift_off=True), [2.0, -5.0], 1.0)[1] == pytest.approx(speed, abs=1e-8)
+
+
+def test_kinks_follow_sides_that_a_switch_or_a_jump_changes():
+    """x'' = -|x + 2 s|, with s the side of x = 0, or of a state that changes its sign at the gate x = 1."""
+    side, phase = (vj.Switch("s", lambda t, y, p, name=name: y[name]) for name in ("x", "w"))
+    flip = lambda t, y, p: y | {"w": -y["w"], "x": y["x"] - 0.5}  # noqa: E731
+    gate = vj.Impact("gate", gap=lambda t, y, p: 1.0 - y["x"], reset=flip)
+
+    def swing(*events):
+        field = lambda t, y, p, s: {"x": y["v"], "v": -abs(y["x"] + 2 * s["s"]), "w": 0.0}  # noqa: E731
+        states = {"x": "m", "v": "m s-1", "w": "1"}
+        return vj.System("swing", states=states, parameters={"p": 0.0}, field=field, section="x", events=list(events))
+
+    def state(x, v, shift, t):
+        """x + shift below zero grows, and above zero oscillates, each by x'' = -|x + shift|."""
+        y = x + shift
+        turn = [np.cosh(t), np.sinh(t)] if y < 0 else [np.cos(t), np.sin(t)]
+        slope = np.sinh(t) if y < 0 else -np.sin(t)
+        return y * turn[0] + v * turn[1] - shift, y * slope + v * turn[0]
+
+    for system, start, level, back, end in (
+        (swing(side), [-1.0, 2.5, 1.0], 0.0, 0.0, 0.9),
+        (swing(phase, gate), [0.0, 3.0, -1.0], 1.0, 0.5, 0.6),
+    ):
+        time = brentq(lambda t, a=start, h=level: state(*a[:2], -2.0, t)[0] - h, 0.0, 1.0)
+        x, v = state(*start[:2], -2.0, time)
+        expected = state(x - back, v, 2.0, end - time)
+        found = vj.simulate(system, start=start, duration=end, progress=False)
+        assert [found.x[-1].item(), found.v[-1].item()] == pytest.approx(expected, abs=1e-8)
+
+
 def test_two_surfaces_that_change_each_others_sliding():
     """x' = -2 a - b + 0.3, y' = -a - 2 b + 0.1 with a = sgn x, b = sgn y: both slide at 0, and do not before."""
     system = vj.System(
