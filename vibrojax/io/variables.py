@@ -15,8 +15,8 @@ class Variable:
     - `dtype`: data type of the stored values.
     - `flags`: the meaning of each integer value, from `first_flag` (0 by default) upwards.
     - `along`: name of a dimension that the variable has in addition to the dimensions of the sweep; "" for none.
-    - `dims`: all dimensions of the variable, if every dataset has the same. For a variable with `dims`, pass only the
-      values to `Analysis.dataset`.
+    - `dims`: all dimensions of the variable, if they are the same in every dataset. For a variable with `dims`, pass
+      only the values to `Analysis.dataset`.
     - `notes`: further attributes by name, such as a definition.
 
     **Example:**

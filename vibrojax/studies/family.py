@@ -102,9 +102,9 @@ def follow(
 
     The mirror image of an orbit counts as another orbit.
 
-    A family of equilibria has `cycles` 0 and `period` NaN. The states of the equilibrium replace the states at the
-    section. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and `eigenvalue_im`
-    [1/s] along `eigenvalue`, by decreasing real part. Special points of equilibria are *fold*, *branch-point*, *hopf*
+    A family of equilibria has `cycles` 0 and `period` NaN; its variables `orbit_NAME` are the states of the
+    equilibrium. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and
+    `eigenvalue_im` [1/s] along `eigenvalue`, by decreasing real part. Special points of equilibria are *fold*, *branch-point*, *hopf*
     and *end*. If an equilibrium reaches a surface on which the vector field changes, `special_kind` is *grazing* or the
     name of the switch.
 

@@ -137,8 +137,8 @@ def sensitivity(
         vj.sensitivity("vibro-impact", of=["period"], by=["beta"], start="stuck", delta=0.005)  # at one point
 
     The implicit function theorem gives the derivative of the state s at the section, a fixed point of the return map P:
-    ds/dp = (1 - P_s)^-1 P_p. The features are measured over one period of the orbit. Over this period, the tangent
-    (ds/dp, dp) is propagated through all events. Unstable orbits have derivatives, too.
+    ds/dp = (1 - P_s)^-1 P_p. The features are measured over one period of the orbit, together with their derivatives
+    along ds/dp, which are propagated through all events. Unstable orbits have derivatives, too.
 
     **Arguments:**
 
