@@ -104,9 +104,9 @@ def follow(
 
     A family of equilibria has `cycles` 0 and `period` NaN; its variables `orbit_NAME` are the states of the
     equilibrium. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and
-    `eigenvalue_im` [1/s] along `eigenvalue`, by decreasing real part. Special points of equilibria are *fold*, *branch-point*, *hopf*
-    and *end*. If an equilibrium reaches a surface on which the vector field changes, `special_kind` is *grazing* or the
-    name of the switch.
+    `eigenvalue_im` [1/s] along `eigenvalue`, by decreasing real part. Special points of equilibria are *fold*,
+    *branch-point*, *hopf* and *end*. If an equilibrium reaches a surface on which the vector field changes,
+    `special_kind` is *grazing* or the name of the switch.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 
