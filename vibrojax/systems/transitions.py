@@ -216,9 +216,9 @@ def after_events(
     sided = [index for index, kink in enumerate(flow.kinks, len(flow.events)) if kink.sided]
     if sided:  # the event may have changed the side of a switch
         turned = reduce(jnp.logical_or, [hit[index] for index, _ in flow.of(Switch)], jumped)
-        branches = (*modes[: len(flow.events)], *first_branches(flow, c, modes, t, y))
+        chosen = first_branches(flow, c, modes, t, y)
         for place in sided:
-            new[place] = jnp.where(turned, branches[place], new[place])
+            new[place] = jnp.where(turned, chosen[place - len(flow.events)], new[place])
         modes, opened = _modes_after(flow, c, mode, new, t, before, y, hit, jumped, slow)
     return After(modes, onto_surfaces(flow, c, modes, t, y, opened), approach)
 
