@@ -29,11 +29,7 @@ def decode(block: bytes) -> list[Cell]:
         multipliers = own["multipliers"]
         cells.append(
             Cell(
-                own["lane"],
-                own["kind"],
-                own["note"],
-                own["returns"],
-                own["duration"],
+                *(own[name] for name in ("lane", "kind", "note", "returns", "duration")),
                 columns,
                 levels[0] / TIME_LEVELS * own["duration"],
                 {c.name: _scaled(row, scale) for c, row, scale in zip(columns, levels[1:], scales, strict=True)},

@@ -185,22 +185,11 @@ def one_family(low=0.4, high=1.0, family=0):
     largest = np.where(stable, 0.5, 3.0)
     special = [(END, high, 0), (DOUBLING, 0.9, 0), (FOLD, 0.5, 0), (END, 0.8, 0), (END, high, 1)]
     kind, value, special_branch = map(np.array, zip(*special, strict=True))
-    points = {
-        "gamma": gamma,
-        "branch": branch,
-        "cycles": branch + 1,
-        "impacts": branch + 1.0,
-        "impact_velocity": velocity,
-        "impact_velocity_min": least,
-        "impact_velocity_max": greatest,
-        "orbit_x1": -0.07 * gamma,
-        "point_family": np.full(gamma.size, family),
-    }
-    at_special = {
-        "special_value": value,
-        "special_branch": special_branch,
-        "special_family": np.full(kind.size, family),
-    }
+    points = {"gamma": gamma, "branch": branch, "cycles": branch + 1, "impacts": branch + 1.0}
+    points |= {"impact_velocity": velocity, "impact_velocity_min": least, "impact_velocity_max": greatest}
+    points |= {"orbit_x1": -0.07 * gamma, "point_family": np.full(gamma.size, family)}
+    families = np.full(kind.size, family)
+    at_special = {"special_value": value, "special_branch": special_branch, "special_family": families}
     ds = xr.Dataset({name: ("point", x) for name, x in points.items()})
     ds = ds.assign({name: ("special", x) for name, x in at_special.items()})
     ds["stable"] = ("point", stable.astype(np.int8), STABILITY)

@@ -30,14 +30,9 @@ def sbatch(jobs: Path, script: str) -> None:
     variables |= {"SLURM_NODEID": 0, "SLURM_PROCID": 0, "SLURM_LOCALID": 0}
     variables |= {"SLURM_CPUS_PER_TASK": cores[1] if cores else 1}
     with open(jobs.parent / f"job-{number}.log", "wb") as log:
-        job = subprocess.Popen(
-            ["bash", script],
-            env=os.environ | {name: str(value) for name, value in variables.items()},
-            stdout=log,
-            stderr=log,
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        environment = os.environ | {name: str(value) for name, value in variables.items()}
+        files = {"stdin": subprocess.DEVNULL, "stdout": log, "stderr": log}
+        job = subprocess.Popen(["bash", script], env=environment, start_new_session=True, **files)
     (jobs / str(number)).write_text(str(job.pid))
     print(f"Submitted batch job {number}")
 

@@ -10,23 +10,24 @@ from scipy.optimize import brentq
 import vibrojax as vj
 
 positive, table = vj.parameters.positive, vj.parameters.table
-cos, sin = vj.elementary.cos, vj.elementary.sin
+cos = vj.elementary.cos
 
 
-def mass(rate, *events, parameters=None, **options):
+def mass(rate, *events, name="mass", parameters=None, **options):
     """Return a system of one mass; `rate` gives its acceleration, as a field does. The period is 1 s by default."""
     fields = {
         3: lambda t, y, p: {"x": y["v"], "v": rate(t, y, p)},
         4: lambda t, y, p, s: {"x": y["v"], "v": rate(t, y, p, s)},
     }
-    return vj.System(
-        "mass",
-        states={"x": "m", "v": "m s-1"},
-        parameters=parameters or {"q": 1.0},
-        field=fields[len(signature(rate).parameters)],
-        events=events,
-        **(options or {"period": 1.0}),
-    )
+    field, states = fields[len(signature(rate).parameters)], {"x": "m", "v": "m s-1"}
+    options = {"parameters": parameters or {"q": 1.0}, **(options or {"period": 1.0})}
+    return vj.System(name, states=states, field=field, events=events, **options)
+
+
+def one_state(rate, *events, **options):
+    """Return a system of one state x; `rate` gives its rate, as a field does."""
+    field = lambda t, y, p: {"x": rate(t, y, p)}  # noqa: E731
+    return vj.System("one-state", states={"x": "1"}, field=field, events=events, **options)
 
 
 def ends(system, start, duration, **options):
@@ -46,62 +47,38 @@ def names_of(ds, variable="regime"):
     return np.array(ds[variable].attrs["flag_meanings"].split())[ds[variable].values.ravel()].tolist()
 
 
-IMPACT_OSCILLATOR = vj.System(
-    "impact-oscillator",
-    states={"x": "m", "v": "m s-1"},
+IMPACT_OSCILLATOR = mass(
+    lambda t, y, p: p["a"] * cos(p["w"] * t) - p["damping"] * y["v"] - p["stiffness"] * y["x"],
+    vj.Impact("stop_hit", gap=lambda t, y, p: p["stop"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
+    name="impact-oscillator",
     parameters={"stiffness": 1.0, "damping": 0.1, "a": 1.0, "w": 0.9, "stop": 1.0, "r": 0.7},
-    field=lambda t, y, p: {
-        "x": y["v"],
-        "v": p["a"] * cos(p["w"] * t) - p["damping"] * y["v"] - p["stiffness"] * y["x"],
-    },
     period=lambda p: 2 * np.pi / p["w"],
-    events=[vj.Impact("stop_hit", gap=lambda t, y, p: p["stop"] - y["x"], velocity="v", restitution=lambda p: p["r"])],
 )
 """A mass on a spring, shaken against a stop: Shaw and Holmes, Journal of Sound and Vibration 90 (1983), 129."""
 
-WALLS = vj.System(
-    "walls",
-    states={"x": "m", "v": "m s-1"},
+WALLS = mass(
+    lambda t, y, p: cos(0.9 * t) - 0.06 * y["v"] - y["x"],
+    vj.Impact("right", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
+    vj.Impact("left", gap=lambda t, y, p: p["d"] + y["x"], velocity="v", restitution=lambda p: p["r"]),
     parameters={"d": 0.32, "r": 0.7},
-    field=lambda t, y, p: {"x": y["v"], "v": cos(0.9 * t) - 0.06 * y["v"] - y["x"]},
     period=lambda p: 2 * np.pi / 0.9,
-    events=[
-        vj.Impact("right", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
-        vj.Impact("left", gap=lambda t, y, p: p["d"] + y["x"], velocity="v", restitution=lambda p: p["r"]),
-    ],
 )
 """The same mass between two walls: symmetric orbits, and pairs of asymmetric ones."""
 
-BALL = vj.System(
-    "ball",
-    states={"x": "m", "v": "m s-1"},
+BALL = mass(
+    lambda t, y, p: -p["g"],
+    vj.Impact("table", lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t), velocity="v", restitution=lambda p: p["r"]),
     parameters={"g": 9.81, "a": 0.0, "w": 2 * np.pi, "r": 0.5},
-    field=lambda t, y, p: {"x": y["v"], "v": -p["g"]},
     period=lambda p: 2 * np.pi / p["w"],
-    events=[
-        vj.Impact(
-            "table", gap=lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t), velocity="v", restitution=lambda p: p["r"]
-        )
-    ],
 )
 """A ball on a shaken table: Guckenheimer and Holmes, *Nonlinear Oscillations*, 1983, section 2.4."""
 
-BELT = vj.System(
-    "belt",
-    states={"x": "m", "v": "m s-1"},
+_BELT_FRICTION = {"normal": lambda t, y, p: p["N"], "law": lambda p: p["mu_k"], "static": lambda p: p["mu_s"]}
+BELT = mass(
+    lambda t, y, p: -p["k"] * y["x"],
+    vj.Friction("sliding", relative=lambda t, y, p: y["v"] - p["belt_speed"], acts_on="v", **_BELT_FRICTION),
     parameters={"k": 1.0, "belt_speed": 0.2, "mu_k": 0.2, "mu_s": 0.4, "N": 1.0},
-    field=lambda t, y, p: {"x": y["v"], "v": -p["k"] * y["x"]},
     section="v",
-    events=[
-        vj.Friction(
-            "sliding",
-            relative=lambda t, y, p: y["v"] - p["belt_speed"],
-            normal=lambda t, y, p: p["N"],
-            law=lambda p: p["mu_k"],
-            static=lambda p: p["mu_s"],
-            acts_on="v",
-        )
-    ],
 )
 """A mass on a belt with a static and a lower kinetic friction: Den Hartog, *Mechanical Vibrations*."""
 
@@ -115,15 +92,11 @@ def belt_period(v: float, rise: float, w: float = 1.0) -> float:
     return 2 * (np.pi - np.arctan(rise * w / v)) / w + 2 * rise / v
 
 
-SHAKEN = vj.System(
-    "shaken-against-friction",
-    states={"x": "m", "v": "m s-1"},
+SHAKEN = mass(
+    lambda t, y, p: cos(p["w"] * t) - 2 * p["zeta"] * y["v"] - y["x"],
+    vj.Friction("sliding", lambda t, y, p: y["v"], normal=lambda t, y, p: p["grip"], law=1.0, acts_on="v"),
     parameters={"grip": 0.5, "w": 1.5, "zeta": 0.1},
-    field=lambda t, y, p: {"x": y["v"], "v": cos(p["w"] * t) - 2 * p["zeta"] * y["v"] - y["x"]},
     period=lambda p: 2 * np.pi / p["w"],
-    events=[
-        vj.Friction("sliding", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: p["grip"], law=1.0, acts_on="v")
-    ],
 )
 """A mass on a spring, shaken against Coulomb friction: Den Hartog, Transactions of the ASME 53 (1931), 107; Shaw,
 Journal of Sound and Vibration 108 (1986), 305."""
@@ -143,16 +116,11 @@ def friction_stops(w: float, zeta: float) -> float:
     return float(1 / abs(complex(1 - w**2, 2 * zeta * w)) / np.hypot(amplitude + g, h / w))
 
 
-BILINEAR = vj.System(
-    "bilinear",
-    states={"x": "m", "v": "m s-1"},
+BILINEAR = mass(
+    lambda t, y, p, s: -0.5 * ((p["k1"] + p["k2"]) + (p["k2"] - p["k1"]) * s["side"]) * y["x"],
+    vj.Switch("side", lambda t, y, p: y["x"]),
     parameters={"k1": 1.0, "k2": 9.0},
-    field=lambda t, y, p, s: {
-        "x": y["v"],
-        "v": -0.5 * ((p["k1"] + p["k2"]) + (p["k2"] - p["k1"]) * s["side"]) * y["x"],
-    },
     section="v",
-    events=[vj.Switch("side", lambda t, y, p: y["x"])],
 )
 """A bilinear oscillator; its natural frequency is 2 w1 w2/(w1 + w2): Shaw and Holmes, as above."""
 
@@ -180,15 +148,11 @@ EXPONENTIAL = vj.FrictionLaw(
     parameters=table(positive("mu_d", 0.5, "1", "friction of fast sliding", "mu_d")),
     mu=lambda u, p: p["mu_d"] * (1 + vj.elementary.exp(-u / 0.5)),
 )
-BELT_OSCILLATOR = vj.System(
-    "belt-oscillator",
-    states={"x": "m", "v": "m s-1"},
+BELT_OSCILLATOR = mass(
+    lambda t, y, p: -y["x"] - 0.1 * y["v"],
+    vj.Friction("sliding", lambda t, y, p: y["v"] - p["belt"], lambda t, y, p: 1.0, law=EXPONENTIAL, acts_on="v"),
     parameters={"belt": (1.5, "m s-1")},
-    field=lambda t, y, p: {"x": y["v"], "v": -y["x"] - 0.1 * y["v"]},
     section="v",
-    events=[
-        vj.Friction("sliding", lambda t, y, p: y["v"] - p["belt"], lambda t, y, p: 1.0, law=EXPONENTIAL, acts_on="v")
-    ],
 )
 """The friction oscillator of Stender and Hoffmann, bSTAB (Nonlinear Dynamics 2021)."""
 
@@ -306,6 +270,3 @@ def ball_appears(R: float) -> float:
 def ball_doubles(R: float) -> float:
     """Return a/g at which its period doubles."""
     return float(np.hypot(ball_appears(R), 2 * (1 + R**2) / (1 + R) ** 2))
-
-
-LORENZ = lorenz("w")

@@ -11,19 +11,9 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import BORDER_KINDS
 from vibrojax.measures.labels import SINGLE_IMPACT
-from vibrojax.studies.border_curves import ContinuedBorders
-from vibrojax.studies.border_grid import OrbitGrid, Vertex, around_region
 
-SWEEP = {
-    "scene": "vibro-impact",
-    "starts": ["stuck"],
-    "grid": {
-        "beta": {"start": 0.3, "stop": 0.5, "num": 3},
-        "gamma": {"start": 0.35, "stop": 0.75, "num": 9},
-        "delta": [0.005],
-    },
-    "run": {"orbits": True},
-}
+GRID = {"beta": [0.3, 0.4, 0.5], "gamma": np.linspace(0.35, 0.75, 9).tolist(), "delta": [0.005]}
+SWEEP = {"scene": "vibro-impact", "starts": ["stuck"], "grid": GRID, "run": {"orbits": True}}
 BY_ORBITS = ("fold", "period-doubling", "torus", "grazing", "stick", "section")
 
 
@@ -138,38 +128,13 @@ def test_continued_borders_do_not_depend_on_the_grid():
     assert "grid of 4 x 4" in origins[0] and "grid of 5 x 5" in origins[1]
 
 
-def test_circle():
-    x, y = np.linspace(-1.0, 1.0, 41), np.linspace(-1.5, 1.5, 61)
-    inside = x[:, None] ** 2 + y**2 < 0.64
-
-    def ends(here, there):
-        if here[0] != there[0]:
-            return Vertex(np.sign(x[there[0]]) * np.sqrt(0.64 - y[here[1]] ** 2), y[here[1]], "rim")
-        kind = "rim" if y[here[1]] > 0 else "keel"
-        return Vertex(x[here[0]], np.sign(y[there[1]]) * np.sqrt(0.64 - x[here[0]] ** 2), kind)
-
-    chains, area = around_region(inside, x, y, ends)
-    joined = ContinuedBorders(OrbitGrid(vj.SCENES["vibro-impact"](), ("x", "y"), (x, y), {}, 0.0))
-    pieces = [piece for chain in chains for piece in joined.cut(chain)]
-    # Chords of length h reduce the area of a circle by h^2/12.
-    assert abs(area * 6 / (np.pi * 0.64) - 1) < 2e-3
-    assert {piece.kind for piece in pieces} == {"rim", "keel"}
-    radius = np.concatenate([np.hypot(*piece.points.T) for piece in pieces])
-    assert radius.max() < 0.8 + 1e-12 and radius.min() > 0.798
-    ends_of = np.array([[piece.points[0], piece.points[-1]] for piece in pieces]).reshape(-1, 2)
-    # Each piece ends where another one begins.
-    for end in ends_of:
-        assert np.sum(np.abs(ends_of - end).max(axis=1) < 1e-12) == 2
-
-
 def test_lines_outside_the_plane_are_refused(sweep):
     with pytest.raises(InputError, match=r"is not between 0\.3 and 0\.5"):
         vj.borders(sweep, at={"beta": 0.6}, progress=False)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_sweep_without_plane_is_refused():
+    for change, message in (
         ({"scene": "rotary", "grid": {"beta": [0.3, 0.4], "gamma": [0.5, 0.6]}}, "no impacts"),
         (
             {"grid": {"beta": [0.3, 0.4], "striker_frequency": [2.0, 3.0]}},
@@ -179,11 +144,9 @@ def test_lines_outside_the_plane_are_refused(sweep):
             {"scene": "drilling", "grid": {"gamma": [0.6, 0.7], "k3": [1e8, 2e8]}},
             'k3 does not act on the orbits of scene "drilling".*coupled-drilling',
         ),
-    ],
-)
-def test_sweep_without_plane_is_refused(change, message):
-    with pytest.raises(InputError, match=message):
-        vj.borders(SWEEP | change, progress=False)
+    ):
+        with pytest.raises(InputError, match=message):
+            vj.borders(SWEEP | change, progress=False)
 
 
 def test_command(command, capsys, monkeypatch):

@@ -4,10 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
-from systems import IMPACT_OSCILLATOR, LORENZ, lorenz, oscillator_orbits
+from refusals import refusal
+from systems import IMPACT_OSCILLATOR, lorenz, oscillator_orbits
 
 import vibrojax as vj
-from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR
 from vibrojax.periodic.growth import exponents, grow, zero_one
@@ -17,21 +17,15 @@ GAP = {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"delta": 0.0
 LANES = GAP | {"points": {"beta": [0.5, 0.5, 0.4, 0.3], "gamma": [0.7, 0.67, 0.59, 0.6]}, "run": {"lyapunov": True}}
 
 
-FLOWS = {
-    "roessler": (
-        {"x": "1", "y": "1", "z": "1"},
-        lambda t, y, p: {"x": -y["y"] - y["z"], "y": y["x"] + 0.2 * y["y"], "z": 0.2 + y["z"] * (y["x"] - 5.7)},
-        {"section": "x"},
-    ),
-    "duffing": (
-        {"x": "1", "v": "1"},
-        lambda t, y, p: {
-            "x": y["v"],
-            "v": -0.3 * y["v"] + y["x"] - y["x"] ** 3 + p["a"] * vj.elementary.cos(1.2 * t),
-        },
-        {"period": lambda p: 2 * np.pi / 1.2},
-    ),
-}
+def roessler(t, y, p):
+    return {"x": -y["y"] - y["z"], "y": y["x"] + 0.2 * y["y"], "z": 0.2 + y["z"] * (y["x"] - 5.7)}
+
+
+def duffing(t, y, p):
+    return {"x": y["v"], "v": -0.3 * y["v"] + y["x"] - y["x"] ** 3 + p["a"] * vj.elementary.cos(1.2 * t)}
+
+
+FLOWS = {"roessler": (roessler, "xyz", {"section": "x"}), "duffing": (duffing, "xv", {"period": 2 * np.pi / 1.2})}
 
 
 @pytest.fixture(scope="module")
@@ -42,16 +36,13 @@ def lanes_of_each_nature():
 CURVED = lambda t, y, p: y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0)  # noqa: E731
 
 
-@pytest.mark.parametrize(
-    ("section", "count"), [("w", 32), pytest.param(CURVED, 8, marks=pytest.mark.long)], ids=["plane", "curved"]
-)
-def test_lorenz(section, count):
+@pytest.mark.parametrize("section", ["w", pytest.param(CURVED, marks=pytest.mark.long)], ids=["plane", "curved"])
+def test_lorenz(section):
     """Compare the mean of some lanes with 0.9056 (Sprott, Chaos and Time-Series Analysis, 2003), on any section."""
-    starts = {"sample": "random", "count": count, "seed": 0, "box": {"x": [1, 10], "y": [1, 10], "w": [-10, 10]}}
+    starts = {"sample": "random", "count": 8, "seed": 0, "box": {"x": [1, 10], "y": [1, 10], "w": [-10, 10]}}
     run = {"settle": 20.0, "observe": 20.0, "lyapunov": True}
-    lanes = vj.run_sweep(
-        {"scene": lorenz(section), "grid": {"r": [28.0]}, "starts": starts, "run": run}, progress=False
-    )
+    tables = {"scene": lorenz(section), "grid": {"r": [28.0]}, "starts": starts, "run": run}
+    lanes = vj.run_sweep(tables, progress=False)
     assert abs(float(lanes.lyapunov.mean()) / 0.9056 - 1) < 0.015
     assert (lanes.nature == NATURES.index("chaotic")).all() and (lanes.zero_one > 0.9).all()
     deviation = (lanes.lyapunov - 0.9056) / lanes.lyapunov_stderr
@@ -167,29 +158,25 @@ def test_refused_lanes_have_no_exponent():
     assert np.isnan(float(failing.lyapunov[1])) and int(failing.nature[1]) == NATURES.index("unknown")
 
 
-@pytest.mark.parametrize(
-    ("tables", "line"),
-    [
+def test_unsuitable_sweep_is_refused_in_one_line():
+    for tables, line in (
         ({"run": {"lyapunov": 1}}, "run.lyapunov: 1 is neither true nor false"),
         ({"run": {"lyapunov": True, "method": "smoothed"}}, 'lyapunov: true has no use with method "smoothed"'),
         (
             {"scene": "penetration", "grid": {"force": [5e4]}, "run": {"lyapunov": True}},
             "true has no use in penetration",
         ),
-    ],
-)
-def test_unsuitable_sweep_is_refused_in_one_line(tables, line):
-    with pytest.raises(InputError) as caught:
-        vj.read_sweep({"scene": "vibro-impact", "grid": {"gamma": [0.7]}} | tables)
-    assert line in str(caught.value) and "\n" not in str(caught.value)
+    ):
+        assert line in refusal(vj.read_sweep, {"scene": "vibro-impact", "grid": {"gamma": [0.7]}} | tables)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", FLOWS)
 def test_error_of_exponents_of_flows(name):
     """The mean over all lanes is known ten times better than the exponent of one. (Lorenz: `test_lorenz`.)"""
-    states, field, more = FLOWS[name]
-    scene = vj.System(f"exponent-{name}", states=states, parameters={"a": 0.5}, field=field, **more)
+    field, states, more = FLOWS[name]
+    units = dict.fromkeys(states, "1")
+    scene = vj.System(f"exponent-{name}", states=units, parameters={"a": 0.5}, field=field, **more)
     starts = {"sample": "random", "count": 100, "seed": 0, "box": {key: [0.1, 0.9] for key in states}}
     run = {"settle": 100.0, "observe": 60.0, "keep_returns": 2}
     lanes = vj.run_sweep({"scene": scene, "starts": starts, "run": run}, progress=False)
@@ -199,15 +186,3 @@ def test_error_of_exponents_of_flows(name):
     growth = grow(sweep.system, {"a": np.full(100, 0.5)}, state, np.ones_like(state), np.ones_like(state), 2048)
     inside, _ = covered(growth.rate, growth.time, growth.rate.sum() / growth.time.sum())
     assert 0.9 <= inside <= 0.98
-
-
-@pytest.mark.long
-def test_longer_observation_has_smaller_error():
-    errors = []
-    for observe in (50.0, 500.0):
-        run = {"settle": 20.0, "observe": observe, "lyapunov": True}
-        starts = [[x, 2.0, 3.0] for x in range(1, 9)]
-        lanes = vj.run_sweep({"scene": LORENZ, "grid": {"r": [28.0]}, "starts": starts, "run": run}, progress=False)
-        assert (np.abs(lanes.lyapunov - 0.9056) < 4 * lanes.lyapunov_stderr).all()
-        errors.append(float(lanes.lyapunov_stderr.mean()))
-    assert 2.5 < errors[0] / errors[1] < 4.5  # about the root of ten

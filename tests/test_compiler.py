@@ -1,8 +1,17 @@
-"""Test the compiled functions of the equations against NumPy, for each number of lanes in a block."""
+"""Test compiled functions against NumPy, and lanes compiled by XLA, on accelerators too, against lanes of kernels."""
 
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import vibrojax
+import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.compile import agreement, xla
 from vibrojax.compile.agreement import check
@@ -47,3 +56,109 @@ def test_sweep_is_refused_in_one_line(monkeypatch, tmp_path, capsys):
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1 and "computes arctan wrongly" in printed
     assert "install another version of llvmlite" in printed and not (tmp_path / "out.nc").exists()
+
+
+# Lanes compiled by XLA, as where kernels are not available, against lanes of kernels
+
+RUN = {"settle": 12.0, "observe": 6.0, "error": 1e-4}
+SWEEPS = {
+    "vibro-impact": {"beta": [0.3, 0.4, 0.6, 0.9], "gamma": [0.6, 0.75, 0.9], "delta": [-0.005, 0.005]},
+    "penetration": {"force": [200e3, 300e3], "frequency": [20.0, 40.0]},
+}
+WITHIN = {"vibro-impact": 1e-8, "penetration": 1e-9}
+"""Rounding errors grow over twenty seconds of impacts before the motion repeats, and shrink afterwards."""
+
+
+def without_kernel(name):
+    """Return the scene with a function for which kernels have no rule."""
+
+    class Untranslated(vj.SCENES[name]):
+        def constants(self, p):
+            m1 = p["m1"]
+            return super().constants(p | {"m1": m1 + 0.0 * jnp.argmax(jnp.stack([m1, m1]), axis=0).astype(m1.dtype)})
+
+    return Untranslated()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", SWEEPS)
+def test_xla_matches_kernels(scene):
+    """Compare all labels, and the features of lanes that repeat within the growth of rounding errors."""
+    sweep = {"scene": scene, "grid": SWEEPS[scene], "run": RUN if scene == "vibro-impact" else {}}
+    kernels = vj.run_sweep(sweep, progress=False)
+    xla = vj.run_sweep(sweep | {"scene": without_kernel(scene)}, progress=False)
+    compilers = [json.loads(dataset.attrs["solver"])["compiler"] for dataset in (kernels, xla)]
+    assert compilers == ["llvm", "xla"]
+    if scene == "vibro-impact":
+        repeats = (kernels.cycles > 0).values
+        assert repeats.mean() > 0.4
+        np.testing.assert_array_equal(xla.regime.values[repeats], kernels.regime.values[repeats])
+        names = ["period", "impact_velocity", "phase_lag", "peak_impact_force", "drive_power"]
+    else:
+        repeats, names = np.ones(kernels.rate_of_penetration.shape, bool), ["rate_of_penetration", "slip_per_impact"]
+    for name in names:
+        by_kernels, by_xla = (dataset[name].values[repeats] for dataset in (kernels, xla))
+        np.testing.assert_allclose(
+            by_kernels, by_xla, rtol=WITHIN[scene], atol=WITHIN[scene] * np.nanmax(np.abs(by_kernels))
+        )
+
+
+# The programs for accelerators, on two devices that share the processor
+
+SCRIPT = """
+import sys
+
+import jax
+import numpy as np
+from lane_steps import as_on_accelerator
+
+from vibrojax.compile.xla import BoundProgram
+from vibrojax.lanes import compiler
+from vibrojax.lanes.run import LaneRun
+from vibrojax.maps.read import read_sweep
+
+compiler.XLA_BLOCK_ON_ACCELERATOR = 64  # instead of 16384: a step of lanes that only fill a block takes as long
+precision, within = sys.argv[1], float(sys.argv[2])
+grid = {"gamma": {"start": 0.4, "stop": 1.2, "num": 8}, "beta": [0.2, 0.5, 0.8]}
+run = {"settle": 12.0, "observe": 6.0, "end_early": False, "precision": precision, "error": 1e-2}
+sweep = read_sweep({"scene": "rotary", "grid": grid, "starts": [[0.0, -1.5, 0.0, 0.0]], "run": run})
+used, call = set(), BoundProgram.__call__
+
+
+def recorded(self, lanes):
+    call(self, lanes)
+    used.add(jax.config.jax_default_device)
+    assert (self._block, self._blocks) == (64, 1)  # all lanes of a call step together
+    assert {x.dtype for x in jax.tree.leaves(self.results) if x.dtype.kind == "f"} == {np.dtype(precision)}
+
+
+BoundProgram.__call__ = recorded
+assert len(jax.local_devices()) == 2
+inputs = sweep.inputs()
+chunks = as_on_accelerator(LaneRun(inputs, sweep.plan))
+assert not chunks.ends_early
+kernels = LaneRun(inputs, sweep.plan)
+found, expected = chunks.chunk(inputs).features, kernels.chunk(inputs).features
+assert used == set(jax.local_devices()), used
+assert chunks.engine.programs.compiler == "xla" and kernels.engine.programs.compiler == "llvm"
+assert expected.keys() == found.keys()
+repeats = expected["cycles"] > 0
+assert repeats.mean() > 0.4, expected["cycles"]
+for name in ("cycles", "period", "bit_amplitude", "drive_power"):
+    np.testing.assert_allclose(found[name][repeats], expected[name][repeats], rtol=within, err_msg=name)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("precision", "within"), [("float64", "1e-8"), ("float32", "2e-3")])
+def test_features_match_those_of_kernels(precision, within):
+    folder = Path(__file__).parent
+    paths = (str(folder / "benchmarks"), str(Path(vibrojax.__file__).parents[1]))
+    environment = os.environ | {
+        "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
+        "JAX_PLATFORMS": "cpu",
+        "PYTHONPATH": os.pathsep.join(paths),
+    }
+    command = [sys.executable, "-c", SCRIPT, precision, within]
+    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stderr[-2000:]

@@ -173,17 +173,8 @@ def test_hopf_points_follow_linear_stability_of_sliding():
 
 @pytest.mark.long
 def test_period_doubling_cascade_has_feigenbaum_ratio():
-    cascade = vj.follow(
-        IMPACT_OSCILLATOR,
-        along="w",
-        at=2.6,
-        span=(2.55, 2.85),
-        cycles=8,
-        settle=200.0,
-        observe=40.0,
-        stop=0.0,
-        progress=False,
-    )
+    settled = {"settle": 200.0, "observe": 40.0, "stop": 0.0, "progress": False}
+    cascade = vj.follow(IMPACT_OSCILLATOR, along="w", at=2.6, span=(2.55, 2.85), cycles=8, **settled)
     doublings = np.flatnonzero(cascade.special_kind.values == SPECIAL_KINDS.index("period-doubling"))
     ds = vj.curves(cascade, by="r", span=(0.65, 0.75), special=doublings[1:], at={"r": 0.65}, progress=False)
     assert len(doublings) == 4 and ds.crossing_curve.values.tolist() == [0, 1, 2]

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -12,13 +13,13 @@ from vibrojax.settings.toml import bundled_names
 from vibrojax.studies.design import Designs
 
 FORCE, WIDTH, WIDE = 165e3, 0.004, 0.03
-RUN = {"settle": 25.0, "observe": 6.0}
+RUN = {"settle": 15.0, "observe": 4.0}
 DESIGN = {
     "scene": "vibro-impact",
     "maximise": "impact_power",
     "starts": ["stuck"],
     "parameters": {"beta": 0.4, "delta": 0.005},
-    "vary": {"gamma": [0.7, 0.9]},
+    "vary": {"gamma": [0.71, 0.79]},
     "tolerance": {"gamma": WIDTH},
     "subject": {"regime": "single-impact", "peak_impact_force": {"most": FORCE}},
     "front": {"against": "peak_impact_force", "points": 3, "from": 0.99 * FORCE, "to": 1.01 * FORCE},
@@ -40,7 +41,7 @@ def designed():
 
 
 def test_no_cell_of_finer_map_is_better(designed):
-    gamma = np.linspace(0.7, 0.9, 331)
+    gamma = np.linspace(0.71, 0.79, 133)
     ds = lanes(gamma=gamma[:, None] + np.array([0.0, -WIDTH, WIDTH]))
     held = (ds.regime.values == REGIMES.index("single-impact")) & (ds.peak_impact_force.values <= FORCE)
     power = ds.impact_power.values.reshape(-1, 3)[held.reshape(-1, 3).all(axis=1), 0]
@@ -142,6 +143,6 @@ NARROW = {"vary": {"gamma": [0.7, 0.72]}, "tolerance": {}, "front": None}
     ],
 )
 def test_bad_and_infeasible_designs_are_refused_in_one_line(change, line):
-    with pytest.raises(vj.InputError, match=r"^design: ") as error:
-        vj.design({name: x for name, x in (DESIGN | change).items() if x is not None}, progress=False)
-    assert line in str(error.value) and "\n" not in str(error.value)
+    given = {name: x for name, x in (DESIGN | change).items() if x is not None}
+    text = refusal(vj.design, given, progress=False)
+    assert text.startswith("design: ") and line in text

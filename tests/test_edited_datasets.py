@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -148,9 +149,7 @@ def test_orbits_are_not_those_of_other_lanes(datasets):
 )
 def test_lanes_without_coordinates_are_refused(datasets, change, line):
     ds = change(datasets["names"])
-    with pytest.raises(InputError) as refusal:
-        sweep_of_dataset(ds)
-    assert line in str(refusal.value) and "\n" not in str(refusal.value)
+    assert line in refusal(sweep_of_dataset, ds)
 
 
 def test_edited_starts(datasets):
@@ -230,22 +229,7 @@ def test_curves_begin_at_the_selected_families(families):
         problem_of(curves_of(families.isel(point=slice(2, 4)), [other]))
 
 
-def test_joined_sweeps_with_other_fixed_parameters_are_refused():
-    """The attributes of a joined dataset are those of one of them; a join of like sweeps has the same orbits."""
-    sweep = {"scene": "vibro-impact", "starts": ["stuck"], "run": {"settle": 20.0, "observe": 4.0}}
-    first, like, other = (
-        vj.run_sweep(sweep | {"grid": {"gamma": gamma}, "parameters": {"delta": delta}}, progress=False)
-        for gamma, delta in (([0.65, 0.7], 0.005), ([0.75, 0.8], 0.005), ([0.75, 0.8], -0.005))
-    )
-    joined = xr.combine_by_coords([first, like], combine_attrs="override")
-    assert vj.orbits(joined, progress=False).sizes["gamma"] == 4
-    with pytest.raises(InputError, match="2 lanes have another period than in the dataset"):
-        vj.orbits(xr.combine_by_coords([first, other], combine_attrs="override"), progress=False)
-
-
 def test_means_of_flags_are_not_drawn(datasets):
     mean = datasets["names"].mean("beta", keep_attrs=True)
-    with pytest.raises(InputError, match=r"variable regime: .* flags") as error:
-        vj.picture(mean)
-    assert "\n" not in str(error.value)
+    assert "flags" in refusal(vj.picture, mean)
     assert vj.picture(datasets["names"].where(datasets["names"].beta > 0.3))

@@ -1,11 +1,14 @@
-"""Tests of the exact reference (tests/exact) by itself, and of the package against it."""
+"""Tests of the package against the exact reference (tests/exact): trajectories, and measures of the time loop."""
 
+import exact
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from exact import measure, run
-from exact.polynomials import COEFFICIENTS, X, falls
+from exact.measures import sections
 
 import vibrojax as vj
+from vibrojax.measures.motion import _trend
 
 SCENES = {
     "rotary": {"beta": 0.3, "gamma": 0.6, "v": 1.0},
@@ -18,19 +21,6 @@ SCENES = {
 
 
 # The reference by itself
-
-
-def test_falls_finds_every_downward_crossing():
-    """cos 7x falls at -3 pi/14 and pi/14. A rise 1e-6 after a fall hides neither. A touch from above is not a fall."""
-
-    def find_falls(function):
-        return falls(COEFFICIENTS @ function(X), 1.0, 1.0)
-
-    np.testing.assert_allclose(find_falls(lambda x: np.cos(7 * x)), [-3 * np.pi / 14, np.pi / 14], rtol=1e-12)
-    np.testing.assert_allclose(find_falls(lambda x: -(x - 0.3) * (x - 0.3 - 1e-6) * (x - 0.7)), [0.3, 0.7], rtol=1e-8)
-    assert find_falls(lambda x: (x - 0.2) ** 2) == []
-    assert find_falls(lambda x: -1 - x / 10) == [-1.0]
-    assert find_falls(np.cos) == []
 
 
 # The package against the reference
@@ -106,3 +96,113 @@ def test_sweep_of_coupled_drilling():
     assert (expected["cycles"], expected["impacts"]) == (lane.cycles, lane.impacts)
     for name in ("period", "impact_velocity", "rate_of_penetration", "mean_force", "stick_fraction", "drive_power"):
         np.testing.assert_allclose(lane[name], expected[name], rtol=1e-7, atol=1e-9, err_msg=name)
+
+
+# Measures of the time loop
+
+SETTLE, OBSERVE = 10.0, 4.0
+ERROR = 1e-5  # so small that the periods of sweep and simulation agree to 1e-9
+USUAL = {"m1": 250.0, "beta": 0.4, "gamma": 0.75, "k1": 156250.0, "c2": 250.0, "v": 1.5, "g": 9.81, "mu": 0.4}
+CONTACT = {"delta": -0.005, "k0": 50e6, "c0": 1e3}
+# The stuck lane with a gap is first: starts then occur in the order of other tests, whose program these lanes share.
+LANES = {
+    "gap": ("vibro-impact", USUAL | CONTACT | {"delta": 0.005}, "stuck"),
+    "preload": ("vibro-impact", USUAL | CONTACT, "drive"),
+    "light": ("vibro-impact", USUAL | CONTACT | {"beta": 0.3, "gamma": 0.5}, "drive"),
+    "free": ("rotary", USUAL | {"gamma": 0.5}, "stuck"),
+    "in phase": ("rotary", USUAL | {"beta": 0.3, "gamma": 8.0, "v": 0.5, "c2": 75.0}, "drive"),
+}
+
+# Reference case 10, which repeats after two returns, of 15 and 179 ms.
+UNEQUAL = {"beta": 0.856, "gamma": 0.719, "v": 1.497, "delta": -0.0009}
+
+
+@pytest.fixture(scope="module")
+def features():
+    """Return datasets of one lane each, by name."""
+    datasets = {}
+    for scene in ("vibro-impact", "rotary"):
+        lanes = {name: lane for name, lane in LANES.items() if lane[0] == scene}
+        first = next(iter(lanes.values()))[1]
+        points = {key: [values[key] for _, values, _ in lanes.values()] for key in first}
+        points["start"] = [start for *_, start in lanes.values()]
+        run = {"settle": SETTLE, "observe": OBSERVE, "error": ERROR}
+        dataset = vj.run_sweep({"scene": scene, "points": points, "run": run}, progress=False)
+        datasets |= {name: dataset.isel(point=index) for index, name in enumerate(lanes)}
+    return datasets
+
+
+def assert_close(value, expected, rtol=2e-4, atol=0.0):
+    np.testing.assert_allclose(float(value), expected, rtol=rtol, atol=atol)
+
+
+ABSOLUTE = {"stick_fraction": 1e-8, "reverse_fraction": 1e-8, "phase_lag": 1e-6}
+"""Absolute tolerances; the others are relative, 1e-8."""
+
+
+@pytest.mark.parametrize("name", LANES)
+def test_every_measure(features, name):
+    """Every measure equals that of the exact reference, which shares no code with the package."""
+    lane, (scene, values, start) = features[name], LANES[name]
+    motion = exact.run(scene, **values, start=start, settle=SETTLE, observe=OBSERVE)
+    expected = exact.measure(motion)
+    assert lane.cycles == 1
+    assert lane.returns == len(sections(motion))
+    assert ("impacts" in expected) == (scene == "vibro-impact")
+    for quantity, value in expected.items():
+        assert_close(lane[quantity], value, 1e-8, ABSOLUTE.get(quantity, 0.0))
+    assert -np.pi < lane.phase_lag <= np.pi
+
+
+def test_unequal_returns():
+    """Means cover whole repeats, and the phase is that of the mean period, wherever in a repeat the observation ends.
+
+    Each impact counts by its own return, whose duration differs from the mean.
+    """
+    sweep = {"scene": "vibro-impact", "points": {key: [value] for key, value in UNEQUAL.items()}, "starts": ["drive"]}
+    lane = vj.run_sweep(sweep | {"run": {"observe": 7.0, "error": ERROR}}, progress=False).squeeze()
+    motion = exact.run("vibro-impact", **UNEQUAL, start="drive", settle=40.0, observe=7.0)
+    expected, returns = exact.measure(motion), sections(motion)
+    assert lane.cycles == 2 and np.ptp(np.diff(returns)) > 0.02 and len(returns) % 2 == 0  # the last return is left out
+    assert_close(lane.period, expected["period"], 1e-7)
+    assert_close(lane.phase_lag, expected["phase_lag"], 0, 1e-3)
+    assert_close(lane.impact_phase, expected["impact_phase"], 1e-6)
+
+
+def test_settling_time(features, name="gap"):
+    """The last return counts whose state s differs from the next by over 0.01, scaled by the swings between the two."""
+    lane = features[name]
+    scene, values, start = LANES[name]
+    motion = vj.simulate(
+        scene, **values, start=start, duration=SETTLE + OBSERVE, sampling=1e-4, error=ERROR, progress=False
+    )
+    kinds = motion.event_kind.attrs["flag_meanings"].split()
+    crossings = motion.event_time.values[motion.event_kind.values == kinds.index("section")]
+    t = motion.time.values
+    x1, x2, v2 = (np.interp(crossings, t, motion[y].values) for y in ("x1", "x2", "v2"))
+    last = 0.0
+    for k in range(len(crossings) - 1):
+        between = (t >= crossings[k]) & (t <= crossings[k + 1])
+        bit, striker = (np.ptp(motion[y].values[between]) / 2 for y in ("x1", "x2"))
+        speed = striker * 2 * np.pi / (crossings[k + 1] - crossings[k])
+        change = [(x1[k + 1] - x1[k]) / bit, (x2[k + 1] - x2[k]) / striker, (v2[k + 1] - v2[k]) / speed]
+        if np.max(np.abs(change)) > 0.01:
+            last = crossings[k]
+    assert 0 < last < SETTLE
+    assert_close(lane.settling_time, last, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("greatest", "trend"),
+    [
+        ([1, 2, 3, 4, 5, 6, 7, 8], 1),
+        ([8, 7, 6, 5, 4, 3, 2, 1], -1),
+        ([1, 2, 3, 4, 4, 6, 7, 8], 0),  # not strictly monotonic
+        ([1, 2, 3, 4, 3, 6, 7, 8], 0),
+        ([100, 100.1, 100.2, 100.3, 100.4, 100.5, 100.6, 100.7], 0),  # by less than 1 %
+        ([100, 100.1, 100.2, 100.3, 100.4, 100.5, 100.6, 101.1], 1),
+        ([1, 2, 3, np.nan, 5, 6, 7, 8], 0),  # one eighth has no return
+    ],
+)
+def test_trend_of_eighths(greatest, trend):
+    assert _trend(jnp.array(greatest, float)[:, None])[0] == trend

@@ -14,17 +14,17 @@ from cell_blocks import decode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colormaps
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_hex
+from refusals import command_refusal
 
 import vibrojax as vj
-from vibrojax.cli import main
 from vibrojax.explorer import Cell, contents_of, encode, module_text, page_text, write, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
 from vibrojax.maps.read import read_sweep
 from vibrojax.pictures.branches import MARKS
-from vibrojax.pictures.colours import value_of
+from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, level
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
@@ -142,9 +142,6 @@ def test_document_holds_numbers_of_dataset(plane: xr.Dataset) -> None:
 
 
 def test_colours_match_picture(plane: xr.Dataset) -> None:
-    from matplotlib.colors import to_hex
-
-    from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 
     document = contents_of(plane).document
     variables = {entry["name"]: entry for entry in document["variables"]}
@@ -198,13 +195,6 @@ def test_page_loads_nothing_and_text_cannot_end_its_script(plane: xr.Dataset, tm
 # Refused datasets.
 
 
-def _error_line(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert main(["explore", *arguments]) == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1
-    return line
-
-
 def test_undrawable_datasets_are_refused_in_one_line(
     plane: xr.Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -213,11 +203,11 @@ def test_undrawable_datasets_are_refused_in_one_line(
     attributes = {"source": "vibrojax 0"}
     vj.write_dataset(xr.Dataset({"error_worst": ("setting", [1.0])}, attrs=attributes), study)
     vj.write_dataset(xr.Dataset(attrs=attributes), empty)
-    assert "no such file" in _error_line(capsys, str(tmp_path / "none.nc"))
-    assert "does not end in .html" in _error_line(capsys, sweep, "-o", str(tmp_path / "page.txt"))
-    assert "holds no borders or curves" in _error_line(capsys, sweep, "--over", sweep)
-    assert f"{study}: its content does not fit together" in _error_line(capsys, study)
-    assert f"{empty}: explore: nothing to draw" in _error_line(capsys, empty)
+    assert "no such file" in command_refusal(capsys, "explore", str(tmp_path / "none.nc"))
+    assert "does not end in .html" in command_refusal(capsys, "explore", sweep, "-o", str(tmp_path / "page.txt"))
+    assert "holds no borders or curves" in command_refusal(capsys, "explore", sweep, "--over", sweep)
+    assert f"{study}: its content does not fit together" in command_refusal(capsys, "explore", study)
+    assert f"{empty}: explore: nothing to draw" in command_refusal(capsys, "explore", empty)
     assert not list(tmp_path.glob("*.html"))
 
 
@@ -249,18 +239,14 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     axes: list[dict[str, Any]] = [{"name": name, "columns": []} for name in ("force", "start")]
     document = figure_document([sheet], ds, axes)
     first, second = document["plots"]
-    line, marks, points, area, upright, bar, text = (
-        next(item for item in first["items"] if item["kind"] == kind and item.get(key) == value)
-        for kind, key, value in (
-            ("line", "colour", "#112233"),
-            ("points", "shape", "s"),
-            ("points", "shape", "o"),
-            ("area", "alpha", 0.5),
-            ("line", "colour", "#123456"),
-            ("area", "colour", "#00aa00"),
-            ("text", "text", "in the middle"),
-        )
-    )
+
+    def item(**look: Any) -> dict:
+        return next(one for one in first["items"] if all(one.get(key) == x for key, x in look.items()))
+
+    line, marks = item(kind="line", colour="#112233"), item(kind="points", shape="s")
+    points, area = item(kind="points", shape="o"), item(kind="area", alpha=0.5)
+    upright, bar = item(kind="line", colour="#123456"), item(kind="area", colour="#00aa00")
+    text = item(kind="text", text="in the middle")
     assert line["x"] == marks["x"] == x.tolist() and line["y"] == (2 * x).tolist() and line["dash"]
     assert points["colours"] == ["#ff0000", "#00ff00", "#0000ff"] and points["sizes"] == [2.0]
     assert set(area["y"]) == {*x, *(3 * x)} and upright["x"] == [1.0, 100.0] and upright["y"] == [7.0, 7.0]

@@ -17,21 +17,9 @@ import vibrojax as vj
 from vibrojax.explorer import contents_of, page_text, write_page
 
 # Short lanes are enough to test what a page shows; motions need lanes that settle.
-MANY = {
-    "scene": "vibro-impact",
-    "starts": ["drive", "stuck"],
-    "grid": {
-        "beta": {"start": 0.2, "stop": 0.8, "num": 17},
-        "gamma": {"start": 0.4, "stop": 1.0, "num": 16},
-        "delta": [-0.005, 0.005],
-    },
-    "run": {"settle": 2.0, "observe": 3.0},
-}
-FEW = {
-    "scene": "vibro-impact",
-    "starts": ["drive", "stuck"],
-    "grid": {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8]},
-}
+AXES = {"beta": np.linspace(0.2, 0.8, 17), "gamma": np.linspace(0.4, 1.0, 16), "delta": [-0.005, 0.005]}
+MANY = {"scene": "vibro-impact", "starts": ["drive", "stuck"], "grid": AXES, "run": {"settle": 2.0, "observe": 3.0}}
+FEW = MANY | {"grid": {"beta": [0.3, 0.4, 0.5], "gamma": [0.6, 0.7, 0.8]}, "run": {}}
 
 
 @pytest.fixture(scope="module")

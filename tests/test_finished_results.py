@@ -1,4 +1,4 @@
-"""Tests of finished results: interrupted sweeps continue, and other results are replaced only with `--fresh`."""
+"""Tests of finished results: interrupted sweeps continue, and other results, of other code too, need `--fresh`."""
 
 import json
 import os
@@ -8,12 +8,14 @@ from textwrap import dedent
 
 import numpy as np
 import pytest
+from refusals import command_refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.io.files import source
 from vibrojax.io.identity import check_replaceable
 from vibrojax.maps.read import read_sweep
+from vibrojax.settings.code_identity import code_identity
 
 SWEEP = 'scene = "rotary"\ntitle = "{title}"\n[grid]\ngamma = [{gamma}]\n[run]\nsettle = 0.5\nobserve = 0.5\n'
 
@@ -77,8 +79,8 @@ def test_other_point_in_given_file_is_refused(folder, capsys):
     out = ["-o", "rotary.nc"]
     assert main([*POINT, "gamma=0.6", *out]) == 0
     capsys.readouterr()
-    assert main([*POINT, "gamma=0.7", *out]) == 2
-    assert "rotary.nc: holds another result: gamma was 0.6, is 0.7; --fresh replaces it" in capsys.readouterr().err
+    line = command_refusal(capsys, *POINT, "gamma=0.7", *out)
+    assert "rotary.nc: holds another result: gamma was 0.6, is 0.7; --fresh replaces it" in line
     assert main([*POINT, "gamma=0.6", "start=[0,0,0,1]", *out]) == 2
 
 
@@ -174,3 +176,64 @@ def test_identity_follows_code_of_own_scenes_and_laws(tmp_path, monkeypatch, cap
     argv = [sys.executable, "-c", DIGESTS]
     process = subprocess.run(argv, capture_output=True, text=True, cwd=tmp_path / "before", env=environment, check=True)
     assert json.loads(process.stdout) == before
+
+
+# The code of a system, to the last constant of every function
+
+PARTS = ("field", "period", "rate", "gap", "reset", "restitution", "force", "law", "mass", "surface")
+
+
+def system(changed=None, c=1.1):
+    """Return a system in which one function differs in a constant. Each function has a variable of its own."""
+    field, period, rate, gap, reset, restitution, force, law, mass, surface = (
+        c if name == changed else 1.0 for name in PARTS
+    )
+    falling = vj.FrictionLaw("falling", "own", {}, lambda u, p: law * 0.3 + 0.1 * vj.elementary.exp(-u))
+    belt = vj.Friction(
+        "belt", lambda t, y, p: y["w"] - surface, lambda t, y, p: force, law=falling, acts_on="w", mass=lambda p: mass
+    )
+    bounce = lambda p: 0.8 * restitution  # noqa: E731
+    stop = vj.Impact("stop", lambda t, y, p: gap - y["x"], velocity="v", restitution=bounce)
+    kick = vj.Impact("kick", lambda t, y, p: 9.0 - y["y"], reset=lambda t, y, p: {"w": -0.5 * reset * y["w"]})
+    return vj.System(
+        "all-parts",
+        states={"x": "m", "v": "m s-1", "y": "m", "w": "m s-1"},
+        parameters={"a": 1.0},
+        field=lambda t, y, p: {"x": y["v"], "v": -field * y["x"], "y": y["w"], "w": -y["y"] - 0.1 * y["w"]},
+        period=lambda p: period * 6.0,
+        rate=lambda p: 3.0 * rate,
+        events=[stop, kick, belt],
+    )
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_identity_has_every_constant(part):
+    assert code_identity(system(part)) != code_identity(system()) == code_identity(system())
+
+
+def oscillator(stiffness):
+    return vj.System(
+        "oscillator",
+        states={"x": "m", "v": "m s-1"},
+        parameters={"w": 0.9},
+        field=lambda t, y, p: {"x": y["v"], "v": vj.elementary.cos(p["w"] * t) - 0.1 * y["v"] - stiffness * y["x"]},
+        period=lambda p: 2 * np.pi / p["w"],
+    )
+
+
+def test_dataset_of_an_earlier_definition_is_not_run_with_a_later_one():
+    first = vj.run_sweep({"scene": oscillator(1.0), "grid": {"w": [0.9]}}, progress=False)
+    vj.run_sweep({"scene": oscillator(2.0), "grid": {"w": [0.9]}}, progress=False)
+    with pytest.raises(vj.InputError, match=r"code\.scene has changed since; give the sweep itself"):
+        vj.orbits(first, progress=False)
+
+
+def test_changed_variable_is_refused():
+    """Compiled code keeps the value that the variable had."""
+    stiffness = 1.0
+    decay = lambda t, y, p: {"x": -stiffness * y["x"]}  # noqa: E731
+    own = vj.System("variable", states={"x": "m"}, parameters={"a": 1.0}, field=decay, period=lambda p: 1.0)
+    vj.simulate(own, duration=1.0, progress=False)
+    stiffness = 2.0
+    with pytest.raises(vj.InputError, match="a value that its functions use has changed since its first run"):
+        vj.simulate(own, duration=1.0, progress=False)

@@ -1,8 +1,8 @@
-"""Families of autonomous systems without events: branch points, hopf points and doublings."""
+"""Families of autonomous systems without events: branch points, hopf points, doublings, and ends at zero amplitude."""
 
 import numpy as np
 import pytest
-from systems import IMPACT_OSCILLATOR, VAN_DER_POL, mass
+from systems import IMPACT_OSCILLATOR, VAN_DER_POL, mass, one_state
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -10,29 +10,32 @@ from vibrojax.cli import main
 E = vj.elementary
 
 
-def gear():
-    return vj.System(
-        "gear",
-        states={"x": "1", "v": "1"},
-        parameters={"om": 1.5, "fa": 0.2},
-        field=lambda t, y, p, s: {
-            "x": y["v"],
-            "v": 0.2 + p["fa"] * E.cos(p["om"] * t) - 0.1 * y["v"] - 0.5 * (s["right"] + 1) * (y["x"] - 1),
-        },
-        period=lambda p: 2 * np.pi / p["om"],
-        events=[vj.Switch("right", lambda t, y, p: y["x"] - 1)],
-    )
+GEAR = vj.System(
+    "gear",
+    states={"x": "1", "v": "1"},
+    parameters={"om": 1.5, "fa": 0.2},
+    field=lambda t, y, p, s: {
+        "x": y["v"],
+        "v": 0.2 + p["fa"] * E.cos(p["om"] * t) - 0.1 * y["v"] - 0.5 * (s["right"] + 1) * (y["x"] - 1),
+    },
+    period=lambda p: 2 * np.pi / p["om"],
+    events=[vj.Switch("right", lambda t, y, p: y["x"] - 1)],
+)
+
+
+def kinds_of_points(family):
+    """Return the kind of each special point."""
+    return np.array(family.special_kind.attrs["flag_meanings"].split())[family.special_kind.values]
 
 
 def points(family, kind):
     """Return the special points of a kind as (branch, value), in the order of the dataset."""
-    names = np.array(family.special_kind.attrs["flag_meanings"].split())[family.special_kind.values]
-    own = names == kind
+    own = kinds_of_points(family) == kind
     return list(zip(family.special_branch.values[own].tolist(), family.special_value.values[own].tolist(), strict=True))
 
 
 def kinds(family):
-    return set(np.array(family.special_kind.attrs["flag_meanings"].split())[family.special_kind.values])
+    return set(kinds_of_points(family))
 
 
 @pytest.mark.long
@@ -49,10 +52,8 @@ def test_pair_of_mirrored_orbits_meets_the_symmetric_one():
         },
         section="x",
     )
-    family = vj.follow(
-        lorenz, along="rho", at=280.0, span=(200.0, 330.0), start=[30.0, 30.0, 280.0], settle=60.0, observe=20.0,
-        cycles=1, progress=False,
-    )  # fmt: skip
+    settled = {"start": [30.0, 30.0, 280.0], "settle": 60.0, "observe": 20.0, "cycles": 1, "progress": False}
+    family = vj.follow(lorenz, along="rho", at=280.0, span=(200.0, 330.0), **settled)
     assert kinds(family) == {"branch-point", "period-doubling", "end"}
     [(_, pair)] = points(family, "branch-point")
     assert pair == pytest.approx(312.97353, abs=1e-5)
@@ -155,13 +156,8 @@ def test_family_begins_at_a_given_orbit():
 
 def test_forced_branches_cross():
     """1/x² of x' = (a + cos t) x - x³ is linear: orbits ±x meet that at rest at a = 0, where they turn back."""
-    forced = vj.System(
-        "forced",
-        states={"x": "1"},
-        parameters={"a": 0.3},
-        field=lambda t, y, p: {"x": (p["a"] + E.cos(t)) * y["x"] - y["x"] ** 3},
-        period=lambda p: 2 * np.pi,
-    )
+    rate = lambda t, y, p: (p["a"] + E.cos(t)) * y["x"] - y["x"] ** 3  # noqa: E731
+    forced = one_state(rate, parameters={"a": 0.3}, period=lambda p: 2 * np.pi)
     family = vj.follow(forced, along="a", at=0.3, span=(-0.2, 0.5), start=[1.0], settle=200.0, progress=False)
     assert kinds(family) == {"branch-point", "end"}
     assert points(family, "branch-point") == [(0, pytest.approx(0.0, abs=1e-9))]
@@ -172,33 +168,24 @@ def test_forced_branches_cross():
 
 
 def test_bodies_that_friction_holds_are_no_equilibria():
-    held = vj.System(
-        "held",
-        states={"x": "m", "v": "m s-1"},
-        parameters={"k": 1.0},
-        field=lambda t, y, p: {"x": y["v"], "v": -p["k"] * y["x"] - 0.2 * y["v"]},
-        section="x",
-        events=[vj.Friction("belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, acts_on="v", law=0.3)],
-    )
+    belt = vj.Friction("belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, acts_on="v", law=0.3)
+    held = mass(lambda t, y, p: -p["k"] * y["x"] - 0.2 * y["v"], belt, parameters={"k": 1.0}, section="x")
     with pytest.raises(vj.InputError, match="where friction holds a body, none is isolated"):
         vj.follow(held, along="k", at=1.0, span=(0.5, 2.0), start=[0.1, 0.0], cycles=0, progress=False)
 
 
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
+def test_wrong_beginnings_are_refused():
+    for more, words in (
         ({"orbit": {"states": [1.0]}}, r"orbit: .* is not \{\"states\""),
         ({"orbit": {"states": [1.0], "period": 2.0}}, "orbit.states: .* is not 3 numbers: x, y, z"),
         ({"orbit": {"states": [1.0, 0.0, 0.0], "period": -2.0}}, "orbit.period: -2 is not above 0 s"),
         ({"orbit": {}, "start": [0.0] * 3}, "orbit: and start both say where the family begins"),
         ({"from_hopf": 3}, "from_hopf: is not a family of equilibria"),
         ({"at": None}, "at is missing"),
-    ],
-)
-def test_wrong_beginnings_are_refused(more, words):
-    settings = {"along": "m", "at": -0.1, "span": (-0.4, 0.2), "progress": False} | more
-    with pytest.raises(vj.InputError, match=words):
-        vj.follow(SUBCRITICAL, **settings)
+    ):
+        settings = {"along": "m", "at": -0.1, "span": (-0.4, 0.2), "progress": False} | more
+        with pytest.raises(vj.InputError, match=words):
+            vj.follow(SUBCRITICAL, **settings)
 
 
 POLYNOMIAL = vj.System(
@@ -250,11 +237,9 @@ def test_hopf_points_at_the_beginning_and_next_to_each_other():
 
     def field(t, y, p):
         m, n = p["m"], p["m"] - 1e-3
-        return {
-            "x": m * y["x"] - y["y"], "y": y["x"] + m * y["y"],
-            "z": n * y["z"] - 2 * y["w"], "w": 2 * y["z"] + n * y["w"],
-            "u": 0.5 * y["u"], "q": (m - 1) * y["q"],
-        }  # fmt: skip
+        first = {"x": m * y["x"] - y["y"], "y": y["x"] + m * y["y"]}
+        second = {"z": n * y["z"] - 2 * y["w"], "w": 2 * y["z"] + n * y["w"]}
+        return first | second | {"u": 0.5 * y["u"], "q": (m - 1) * y["q"]}
 
     _, family = rests(dict.fromkeys("xyzwuq", "1"), field, 0.0, (-1.0, 0.9))
     assert kinds(family) == {"hopf", "end"}
@@ -271,9 +256,7 @@ def test_equilibria_meet_a_switch_and_end_at_a_stop():
     def field(t, y, p, s):
         return {"x": y["v"], "v": p["m"] - y["x"] - 0.5 * (s["second"] + 1) * (y["x"] - 0.3) - 0.2 * y["v"]}
 
-    system, family = rests(
-        {"x": "m", "v": "m s-1"}, field, 0.1, (0.0, 1.0), {"d": 0.5}, events=[second, stop]
-    )  # fmt: skip
+    system, family = rests({"x": "m", "v": "m s-1"}, field, 0.1, (0.0, 1.0), {"d": 0.5}, events=[second, stop])
     assert points(family, "second") == [(0, pytest.approx(0.3, abs=1e-9))]
     assert family.special_kind.attrs["flag_values"].dtype == family.special_kind.dtype  # CF: flags
     assert family.m.values.max() == pytest.approx(0.7, abs=1e-8) and family.m.values.max() <= 0.7
@@ -356,30 +339,6 @@ def test_small_forced_motion_goes_on():
 
 
 @pytest.mark.long
-def test_circles_cross_at_a_branch_point():
-    """Two limit cycles, the circles r = a and r = 2 with the period 1, cross at a = 2."""
-
-    def field(t, y, p):
-        square = y["x"] ** 2 + y["y"] ** 2
-        pull = square - (p["a"] + 2.0) * E.sqrt(square) + 2.0 * p["a"]
-        return {"x": -y["x"] * pull - 2 * np.pi * y["y"], "y": -y["y"] * pull + 2 * np.pi * y["x"]}
-
-    circles = vj.System("circles", states={"x": "1", "y": "1"}, parameters={"a": 1.0}, field=field, section="y")
-    family = vj.follow(
-        circles, along="a", at=1.0, span=(0.5, 3.0), start=[2.1, 0.0], settle=50.0, observe=15.0, cycles=1,
-        progress=False,
-    )  # fmt: skip
-    assert kinds(family) == {"branch-point", "end"}
-    assert points(family, "branch-point") == [(0, pytest.approx(2.0, abs=1e-9))]
-    for branch in (0, 1):
-        own = family.branch.values == branch
-        radius = np.abs(family.orbit_x.values[own])
-        circle = 2.0 if np.ptp(radius) < 1e-6 else family.a.values[own]
-        assert radius == pytest.approx(circle, abs=1e-8)
-        assert family.period.values[own] == pytest.approx(1.0, abs=1e-9)
-
-
-@pytest.mark.long
 def test_mirrored_branch_points_are_all_followed():
     """Two pitchforks at m = 0 and 1 that do not act upon each other have nine equilibria."""
 
@@ -413,63 +372,75 @@ def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
 
 
 @pytest.mark.long
-def test_points_bear_the_names_of_switches():
+def test_points_and_curves_bear_the_names_of_switches():
     """Teeth of a gear touch on one side, and part: nothing sticks."""
-    family = vj.follow(
-        gear(),
-        along="om",
-        at=1.43,
-        span=(1.4, 1.44),
-        start=[1.2, 0.0],
-        settle=150.0,
-        observe=30.0,
-        cycles=1,
-        progress=False,
-    )
+    settled = {"start": [1.2, 0.0], "settle": 150.0, "observe": 30.0, "cycles": 1, "progress": False}
+    family = vj.follow(GEAR, along="om", at=1.43, span=(1.4, 1.44), **settled)
     assert kinds(family) == {"right", "end"}
     linear = 1.2 - 0.2 / np.hypot(1 - 1.41067**2, 0.141067)  # the teeth just part at the amplitude 0.2
     assert points(family, "right") == [(0, pytest.approx(1.41067, abs=1e-5))] and linear == pytest.approx(1.0, abs=1e-5)
-
-
-@pytest.mark.long
-def test_real_eigenvalues_of_opposite_sign_are_no_hopf_point():
-    """At m = 0 the eigenvalues 1 and -1 sum to zero; the pair beside them keeps its real part -1/2."""
-
-    def field(t, y, p):
-        return {
-            "x": y["x"], "y": (p["m"] - 1) * y["y"],
-            "z": -0.5 * y["z"] - y["w"], "w": y["z"] - 0.5 * y["w"],
-        }  # fmt: skip
-
-    _, family = rests(dict.fromkeys("xyzw", "1"), field, -0.7, (-1.0, 0.5))
-    assert kinds(family) == {"end"}
-
-
-@pytest.mark.long
-def test_given_orbit_of_a_scene_with_events():
-    """An unstable orbit of a family begins the same family."""
-    point = {"along": "gamma", "span": (0.6, 1.3), "beta": 0.4, "delta": 0.005, "cycles": 1, "progress": False}
-    family = vj.follow("vibro-impact", at=0.75, start="stuck", **point)
-    unstable = np.flatnonzero(family.stable.values == 0)
-    orbit = family.isel(point=int(unstable[np.abs(family.gamma.values[unstable] - 0.95).argmin()]))
-    states = [float(orbit.orbit_x1), 0.0, float(orbit.orbit_x2), float(orbit.orbit_v2)]
-    begun = vj.follow(
-        "vibro-impact", at=float(orbit.gamma), orbit={"states": states, "period": float(orbit.period)}, **point
-    )
-    assert np.abs(begun.gamma.values - float(orbit.gamma)).min() < 1e-12
-    assert kinds(begun) == kinds(family)
-    for kind in ("stick", "fold"):
-        expected = sorted(value for _, value in points(family, kind))
-        assert sorted(value for _, value in points(begun, kind)) == pytest.approx(expected, abs=1e-8)
-
-
-@pytest.mark.long
-def test_curves_bear_the_names_of_switches():
-    family = vj.follow(gear(), along="om", at=1.5, span=(1.3, 1.6), start=[1.2, 0.0], settle=300.0, progress=False)
     curves = vj.curves(family, by="fa", span=(0.1, 0.3), progress=False)
     assert np.array(curves.kind.attrs["flag_meanings"].split())[curves.kind.values].tolist() == ["right"]
 
 
-def test_switch_with_the_name_of_a_special_point_is_refused():
-    with pytest.raises(vj.InputError, match="that is a kind of special points"):
-        mass(lambda t, y, p, s: s["fold"], vj.Switch("fold", lambda t, y, p: y["x"]))
+def brusselator(t, y, p):
+    """Return the rates, where the states are relative to the equilibrium (A, B/A)."""
+    u, w = p["A"] + y["u"], p["B"] / p["A"] + y["w"]
+    return {"u": p["A"] + u * u * w - (p["B"] + 1) * u, "w": p["B"] * u - u * u * w}
+
+
+def predators(t, y, p):
+    fish, sharks = y["fish"], y["sharks"]
+    caught = p["quota"] * (1 - E.exp(-5 * fish))
+    return {"fish": 3 * fish * (1 - fish) - fish * sharks - caught, "sharks": -sharks + 3 * fish * sharks}
+
+
+def planar(name, states, parameters, field, section):
+    return vj.System(name, states=dict.fromkeys(states, "1"), parameters=parameters, field=field, section=section)
+
+
+BRUSSELATOR = planar("Brusselator", ("u", "w"), {"A": 1.0, "B": 3.0}, brusselator, "u")
+PREDATORS = planar("predators", ("fish", "sharks"), {"quota": 0.7}, predators, ("fish", 1 / 3))
+
+
+def follow(system, **settings):
+    return vj.follow(system, progress=False, **{"cycles": 1} | settings)
+
+
+def sorted_points(family):
+    """Return kind and parameter value of the special points, in the order of the values."""
+    return sorted(zip(kinds_of_points(family), family.special_value.values, strict=True), key=lambda point: point[1])
+
+
+@pytest.mark.long
+def test_planar_flows_have_no_invented_points():
+    """The Brusselator's Hopf points are at B = 1 + A². Multipliers of planar flows are positive."""
+    family = follow(BRUSSELATOR, along="B", at=3.0, span=(1.5, 3.5), start=[0.3, 0.0], A=[0.9, 1.1])
+    assert len(sorted_points(family)) == 4
+    for number, a in enumerate((0.9, 1.1)):
+        (first, place), last = sorted_points(family.isel(special=family.special_family.values == number))
+        assert (first, last) == ("hopf", ("end", 3.5)) and place == pytest.approx(1 + a * a, abs=1e-9)
+    assert (family.multiplier_arg.values == 0).all() and (
+        family.stable.values[family.multiplier_abs[:, 0] < 0.99] == 1
+    ).all()
+
+
+@pytest.mark.long
+def test_predators_and_prey_end_at_zero_amplitude_and_at_long_periods():
+    family = follow(PREDATORS, along="quota", at=0.7, span=(0.5, 0.8), start=[0.35, 0.3], settle=500.0, observe=200.0)
+    (first, place), (last, long) = sorted_points(family)
+    far = np.exp(-5 / 3)
+    assert (first, last) == ("hopf", "end") and place == pytest.approx(1 / (3 * (1 - far) - 5 * far), abs=1e-9)
+    # Orbits approach the saddle at which one of the species is extinct, and their periods grow without limit.
+    assert family.period.values[np.abs(family.quota.values - long).argmin()] > 50
+    assert all(family.special_note.values)
+
+
+@pytest.mark.long
+def test_hopf_points_of_a_system_without_events_are_continued():
+    """The Brusselator's Hopf points are at B = 1 + A²."""
+    family = follow(BRUSSELATOR, along="B", at=2.5, span=(1.5, 3.0), start=[0.3, 0.0], A=1.0)
+    curves = vj.curves(family, by="A", span=(0.8, 1.2), at={"A": 0.9}, progress=False)
+    np.testing.assert_allclose(curves.B, 1 + curves.A**2, atol=1e-9)
+    assert curves.A.values.min() == 0.8 and curves.A.values.max() == 1.2
+    assert curves.crossing_B.values == pytest.approx([1.81], abs=1e-10)

@@ -14,6 +14,7 @@ import pytest
 import xarray as xr
 from hostile import HUGE, REFUSED, SHOWN, STEERING, longer_sweep, shorter_steps
 from mutants import write_mutant
+from refusals import command_refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -121,9 +122,7 @@ def test_claimed_sizes_are_refused(tmp_path, capsys):
         for name in ("beta", "gamma"):
             file.createDimension(name, 10**6)
         file.createVariable("regime", "i1", ("beta", "gamma"), chunksizes=(1000, 1000))
-    assert main(["info", str(path)]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "claims 1e+03 GB" in err
+    assert "claims 1e+03 GB" in command_refusal(capsys, "info", path)
 
 
 def test_checks_hold_for_datasets_in_memory(sweep):
@@ -154,9 +153,7 @@ def test_suggested_columns_are_one_shell_word(tmp_path, capsys):
     """The author of a CSV file chooses the names of its columns."""
     path = tmp_path / "rig.csv"
     path.write_text('"ROP $(touch hacked) [m/h]",relief\n1.0,0.5\n')
-    assert main(["fit", str(path)]) == 2
-    err = capsys.readouterr().err
-    assert "'rate_of_penetration=ROP $(touch hacked)" in err and err.count("\n") == 1
+    assert "'rate_of_penetration=ROP $(touch hacked)" in command_refusal(capsys, "fit", path)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system")

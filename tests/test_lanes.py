@@ -1,14 +1,28 @@
-"""Tests that a lane's result does not depend on its chunk, its position, the cores, or earlier computations."""
+"""Tests that a lane's result does not depend on its chunk, position, region, neighbours or cores; carried lanes."""
 
 import json
+import os
+import subprocess
+import sys
+from math import prod
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.compile import xla
 from vibrojax.compile.native import kernels
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.writers import Regions
+from vibrojax.maps import dataset as joining
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.run import run_sweep, run_to_file
+from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
@@ -65,21 +79,13 @@ def test_vector_width(usual_width, width):
     assert_identical(run_rotary(), usual_width)
 
 
-def test_order_of_lanes(tiled):
+def test_order_of_lanes_chunk_size_and_number_of_cores(tiled, monkeypatch):
     """All lanes but the first are in reverse order, so that each block has other neighbours."""
-    order = [0, *range(len(TILED) - 1, 0, -1)]
-    backwards = vj.run_sweep(sweep([TILED[index] for index in order], chunk=100, **SHORT), progress=False)
-    assert_identical(features(backwards), {name: values[order] for name, values in tiled.items()})
-
-
-def test_chunk_size(tiled):
-    assert_identical(features(vj.run_sweep(sweep(TILED, chunk=50, **SHORT), progress=False)), tiled)
-
-
-def test_number_of_cores(tiled, monkeypatch):
     monkeypatch.setenv("VIBROJAX_THREADS", "3")
     assert len(xla.workers()) == 3
-    assert_identical(features(vj.run_sweep(sweep(TILED, chunk=100, **SHORT), progress=False)), tiled)
+    order = [0, *range(len(TILED) - 1, 0, -1)]
+    backwards = vj.run_sweep(sweep([TILED[index] for index in order], chunk=50, **SHORT), progress=False)
+    assert_identical(features(backwards), {name: values[order] for name, values in tiled.items()})
 
 
 def test_accelerators_are_not_overlooked(monkeypatch, tmp_path):
@@ -162,3 +168,159 @@ def test_weakly_driven_lanes_finish():
     dataset = vj.run_sweep(sweep, progress=False)
     assert np.all(dataset.status == 0)
     assert json.loads(dataset.solver)["steps"] < 5_000 * dataset.status.size
+
+
+# Joining chunks region by region
+
+JOINED = {
+    "scene": "vibro-impact",
+    "parameters": {"delta": 0.0},
+    "grid": {"beta": [0.4, 0.5], "gamma": [0.6, 0.7, 0.9]},
+    "starts": ["drive", "stuck", "touching"],
+    "run": {"settle": 40.0, "observe": 8.0, "chunk": 4},
+}
+
+
+JOIN_SCRIPT = """
+import resource, sys, time
+from pathlib import Path
+import numpy as np
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.dataset import join
+from vibrojax.maps.executor import compute
+from vibrojax.io.writers import file_target
+from vibrojax.periodic.lane_stages import lane_run
+sweep = read_sweep({"scene": "rotary", "starts": ["stuck"], "run": {"settle": 0.1, "observe": 0.1},
+                    "grid": {"v": {"start": 0.5, "stop": 2.0, "num": int(sys.argv[2])}, "k1": {"start": 1e5, "stop": 2e5, "num": 1000}}})
+run = lane_run(sweep.inputs(0, 1), sweep.plan)
+_, one = next(compute(sweep, run, [0]))
+noise = np.random.default_rng(0).random(len(one["period"]))
+one = {name: x + noise if x.dtype == float and x.ndim == 1 and name in ("bit_amplitude", "drive_power") else x for name, x in one.items()}
+def read(index):
+    first, end = sweep.chunk(index)
+    return {name: x[:end - first] if x.ndim else x for name, x in one.items()}
+with file_target(Path(sys.argv[1])) as target:
+    join(sweep, run, read, target, time.monotonic())
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""  # noqa: E501
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(1, 6), min_size=1, max_size=4), st.integers(1, 90))
+def test_regions_are_consecutive_whole_chunks(shape, limit):
+    regions = Regions(tuple(shape), limit)
+    values, position = np.full(shape, -1), 0
+    for region in regions:
+        assert region.first == position and 0 < region.end - region.first <= limit
+        position = region.end
+        assert all(part.start % size == 0 for part, size in zip(region.box, regions.chunk, strict=True))
+        assert all(part.stop - part.start <= size for part, size in zip(region.box, regions.chunk, strict=True))
+        values[region.box] = np.arange(region.first, region.end).reshape(region.shape)
+    np.testing.assert_array_equal(values.ravel(), np.arange(prod(shape)))
+
+
+@pytest.mark.parametrize(
+    "starts, changes", [(JOINED["starts"], ["run.keep_returns=3"]), (["stuck"], ["run.carry=beta", "run.settle=2.0"])]
+)
+def test_regions_do_not_change_result(starts, changes, tmp_path, monkeypatch):
+    """Chunks and regions split points and paths of carried lanes. Real regions hold a million lanes."""
+    sweep = read_sweep(JOINED | {"starts": starts}, changes)
+    expected = run_sweep(sweep, progress=False)
+    monkeypatch.setattr(joining, "REGION", 2)
+    for joined in (run_sweep(sweep, progress=False), run_to_file(sweep, tmp_path / "out.nc", progress=False)):
+        xr.testing.assert_identical(joined.drop_attrs(), expected.drop_attrs())
+        assert joined.attrs["certified"] == expected.attrs["certified"]
+
+
+def test_points_keep_their_parameters_as_coordinates(tmp_path):
+    points = {"beta": [0.3, 0.4], "gamma": [0.7, 0.8], "start": ["stuck", "drive"]}
+    sweep = read_sweep({"scene": "vibro-impact", "points": points, "run": {"settle": 3.0, "observe": 2.0}})
+    ds = run_to_file(sweep, tmp_path / "out.nc", progress=False)
+    assert set(ds.coords) == {"point", "beta", "gamma", "start"}
+    xr.testing.assert_identical(ds.drop_attrs(), run_sweep(sweep, progress=False).drop_attrs())
+
+
+@pytest.mark.long
+def test_memory_is_bounded_by_region(tmp_path):
+    """Three times as many lanes take no more memory; 75 MB of additional values would show."""
+    root = Path(__file__).parents[1]
+    peaks = []
+    for rows in ("250", "750"):
+        command = [sys.executable, "-c", JOIN_SCRIPT, str(tmp_path / "out.nc"), rows]
+        process = subprocess.run(
+            command, capture_output=True, text=True, check=True, env=os.environ | {"PYTHONPATH": str(root)}
+        )
+        peaks.append(int(process.stdout) / 1e3)
+    assert peaks[1] - peaks[0] < 40.0, peaks
+
+
+# Lanes that are carried along an axis: each starts from the final state of the previous one
+
+BETAS, GAMMAS = [0.3, 0.4], [0.59, 0.61, 0.63, 0.7, 0.75]
+MAP = {
+    "scene": "vibro-impact",
+    "starts": ["stuck"],
+    "parameters": {"delta": 0.005},
+    "grid": {"beta": BETAS, "gamma": GAMMAS, "v": [1.5, 2.0]},
+}
+STATES = ("x1", "v1", "x2", "v2")
+
+
+def carried_sweep(**run):
+    return MAP | {"run": {"settle": 10.0, "observe": 4.0, "carry": "gamma"} | run}
+
+
+@pytest.fixture(scope="module")
+def carried():
+    return vj.run_sweep(carried_sweep(), progress=False)
+
+
+def test_lane_starts_from_final_state_of_previous_lane():
+    """Compare with trajectories, each of which starts from the end of the previous one."""
+    run = {"settle": 0.7, "observe": 0.5, "end_early": False}
+    lanes = vj.run_sweep(carried_sweep(**run), progress=False)
+    for direction, gammas in (("up", GAMMAS), ("down", GAMMAS[::-1])):
+        start: object = "stuck"
+        for gamma in gammas:
+            lane = lanes.sel(beta=0.4, gamma=gamma, v=1.5, direction=direction)
+            motion = vj.simulate(
+                "vibro-impact", beta=0.4, gamma=gamma, delta=0.005, start=start, duration=1.2, progress=False
+            )
+            late = motion.sel(time=slice(0.7, None))
+            for name, state in (("bit_amplitude", "x1"), ("striker_amplitude", "x2")):
+                swing = float(late[state].max() - late[state].min()) / 2  # of samples, not of turning points
+                assert abs(float(lane[name]) - swing) < 2e-3 * swing, (direction, gamma, name)
+            start = [float(motion[name][-1]) for name in STATES]
+
+
+def test_hysteresis_between_directions(carried):
+    """At beta 0.4 and a gap of 5 mm, a single impact (carried down) coexists with an irregular motion (carried up)."""
+    assert (
+        carried.regime.dims == ("beta", "gamma", "v", "direction") and "gamma" in carried.direction.attrs["long_name"]
+    )
+    at_gap = carried.sel(beta=0.4, gamma=[0.7, 0.75], v=1.5)
+    assert (at_gap.regime.sel(direction="up") == IRREGULAR).all()
+    assert (at_gap.regime.sel(direction="down") == SINGLE_IMPACT).all()
+
+
+def test_chunks_hold_whole_paths(tmp_path, carried):
+    run_to_file(read_sweep(carried_sweep(chunk=13)), tmp_path / "out.nc", progress=False)  # two paths of five lanes
+    xr.testing.assert_equal(open_dataset(tmp_path / "out.nc"), carried)
+
+
+def test_carrying_continues_after_a_failed_lane():
+    """After a failed lane there is no final state, so the next lane begins at the start."""
+    stiff = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [5e7, 1e300]}, "run": carried_sweep()["run"]}
+    carried_lanes = vj.run_sweep(stiff | {"run": stiff["run"] | {"carry": "k0"}, "unusual": True}, progress=False)
+    alone = vj.run_sweep(stiff | {"grid": {"k0": [5e7]}, "run": {"settle": 10.0, "observe": 4.0}}, progress=False)
+    assert (carried_lanes.regime.sel(k0=1e300) == FAILED).all()
+    np.testing.assert_array_equal(carried_lanes.period.sel(k0=5e7), [alone.period.item()] * 2)
+
+
+def test_unsuitable_axis_is_refused_in_one_line():
+    for run, tables, line in (
+        ({"carry": "gama"}, {}, 'run.carry: "gama" is not an axis of [grid]; did you mean "gamma"?'),
+        ({"carry": "gamma"}, {"starts": ["drive", "stuck"]}, "run.carry: 2 starts; the first lane in each direction"),
+        ({"carry": "gamma"}, {"grid": {"gamma": [0.7, 0.6]}}, "run.carry: the values of gamma do not rise"),
+    ):
+        assert line in refusal(read_sweep, MAP | tables | {"run": run})

@@ -1,4 +1,4 @@
-"""Test imports: only from folders above, in the order of CONTRIBUTING, of public names, and of few large libraries."""
+"""Test imports: only from folders above, of public names, of few large libraries; and that annotations are checked."""
 
 import ast
 import os
@@ -8,11 +8,16 @@ import tomllib
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray as xr
+from checked_types import CALLS_PER_CHECK
 from drawn import lanes, square
 
 import vibrojax as vj
+from vibrojax.lanes.drift import _means
+from vibrojax.periodic.return_map import Segments, in_calls
+from vibrojax.scenes import SCENES
 
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 LIST = "compile physics scenes systems stepping io measures settings lanes periodic maps pictures studies explorer cli"
@@ -162,3 +167,29 @@ def test_kernels_are_identified_while_jax_is_imported():
 def test_threads_import_jax_at_once_each_with_its_precision():
     completed = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True)
     assert (completed.returncode, completed.stderr) == (0, "")
+
+
+# Annotations are checked: an argument or result of wrong type or shape is an error
+
+SEGMENTS = Segments(SCENES["rotary"]())
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: in_calls(3, "many", 5),
+        lambda: SEGMENTS({}, np.zeros(3)),
+        lambda: _means(np.zeros((3, 4)), None, np.zeros(5, int), np.zeros((2, 4), int)),  # 4 lanes, then 5
+    ],
+    ids=["function", "method", "dimension"],
+)
+def test_wrong_argument_is_an_error(call):
+    errors = [error_of(call) for _ in range(CALLS_PER_CHECK)]
+    assert any("violates type hint" in str(error) for error in errors)
+
+
+def error_of(call):
+    try:
+        return call()
+    except Exception as error:
+        return error

@@ -86,14 +86,8 @@ def test_coupled_rock_matches_exact_motion():
     The rock is damped so lightly that it still moves at the next impact. It yields in the second lane, which makes a
     multiplier zero.
     """
-    points = {
-        "beta": [0.4626, 0.58],
-        "gamma": [0.67, 0.6341],
-        "v": [1.349, 1.351],
-        "zeta": [0.02357, 0.03134],
-        "threshold": [13.81e3, 26.87e3],
-        "k3": [9.912e6, 26.69e6],
-    }
+    points = {"beta": [0.4626, 0.58], "gamma": [0.67, 0.6341], "v": [1.349, 1.351]}
+    points |= {"zeta": [0.02357, 0.03134], "threshold": [13.81e3, 26.87e3], "k3": [9.912e6, 26.69e6]}
     sweep = {"scene": "coupled-drilling", "points": points, "starts": ["stuck"], "unusual": True}
     ds = vj.run_sweep(sweep | {"run": ORBITS | {"settle": 100.0}}, progress=False).squeeze("start")
     assert (ds.orbit_reason == FOUND).all() and (ds.cycles == 1).all()
@@ -114,9 +108,8 @@ def test_coupled_rock_matches_exact_motion():
 
 
 def test_irregular_and_failed_lanes_have_no_orbit():
-    irregular = vj.run_sweep(
-        {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON}, progress=False
-    )
+    tables = {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON}
+    irregular = vj.run_sweep(tables, progress=False)
     assert (irregular.orbit_reason == NOT_REPEATING).all() and (irregular.stable == -1).all()
     stiff = SMALL | {"parameters": {"k0": 1e30}, "run": ORBITS | SOON, "unusual": True}
     refused = vj.run_sweep(stiff, progress=False)
@@ -155,16 +148,8 @@ def test_other_features_do_not_change():
         vj.run_sweep({"scene": "vibro-impact", "points": columns, "run": {"orbits": orbits}}, progress=False)
         for orbits in (False, True)
     )
-    for name in (
-        "regime",
-        "cycles",
-        "impacts",
-        "returns",
-        "settling_time",
-        "error_estimate",
-        "drift_estimate",
-        "status",
-    ):
+    same = ("regime", "cycles", "impacts", "returns", "settling_time", "error_estimate", "drift_estimate", "status")
+    for name in same:
         np.testing.assert_array_equal(without[name], with_orbits[name], name)
     for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
         np.testing.assert_allclose(without[name], with_orbits[name], rtol=1e-4)

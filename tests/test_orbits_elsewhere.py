@@ -1,11 +1,12 @@
-"""Orbits of own systems and their multipliers, against closed forms: impacts, sliding, and a discontinuous field."""
+"""Orbits of own systems and their multipliers, against closed forms, and lanes near unstable orbits."""
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from systems import BALL, IMPACT_OSCILLATOR, oscillator_grazes, oscillator_orbits
+from systems import BALL, IMPACT_OSCILLATOR, mass, one_state, oscillator_grazes, oscillator_orbits
 
 import vibrojax as vj
+from vibrojax.io.variables import ORBIT_REASONS
 
 OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 R = 0.7
@@ -25,16 +26,8 @@ def test_orbits_and_multipliers_of_impact_oscillator():
     amplitudes = np.array([1.5, 2.0, 2.5, 2.9]) * GRAZE
     orbits = [oscillator_orbits(a, R, **OSCILLATOR)[-1] for a in amplitudes]
     stable = [abs(orbit.multipliers[0]) < 1 for orbit in orbits]
-    points = {"a": amplitudes.tolist(), "x": [], "v": []}
-    ds = vj.run_sweep(
-        {
-            "scene": IMPACT_OSCILLATOR,
-            "grid": {"a": points["a"]},
-            "starts": [orbits[-1].section.tolist()],
-            "run": {"orbits": True},
-        },
-        progress=False,
-    )
+    sweep = {"scene": IMPACT_OSCILLATOR, "grid": {"a": amplitudes.tolist()}, "starts": [orbits[-1].section.tolist()]}
+    ds = vj.run_sweep(sweep | {"run": {"orbits": True}}, progress=False)
     assert any(stable) and ds.regime.attrs["flag_meanings"].split()[2] == "impact-free"
     for k in np.flatnonzero(stable):
         lane = ds.isel(a=int(k), start=0)
@@ -48,15 +41,9 @@ def test_orbits_and_multipliers_of_impact_oscillator():
 def test_orbit_with_rest_in_each_period_has_zero_multipliers():
     """The table throws the ball where a w² cos(w t) = -g. After the first impact, bounces end at rest."""
     w, g, drives = 2 * np.pi, 9.81, np.array([1.1, 1.5, 1.9])
-    ds = vj.run_sweep(
-        {
-            "scene": BALL,
-            "grid": {"a": (drives * g / w**2).tolist(), "r": [0.2, 0.4]},
-            "starts": [[0.0, 0.0], [1.0, 0.0]],
-            "run": {"orbits": True},
-        },
-        progress=False,
-    )
+    grid = {"a": (drives * g / w**2).tolist(), "r": [0.2, 0.4]}
+    sweep = {"scene": BALL, "grid": grid, "starts": [[0.0, 0.0], [1.0, 0.0]], "run": {"orbits": True}}
+    ds = vj.run_sweep(sweep, progress=False)
     found_flag = ds.orbit_reason.attrs["flag_meanings"].split().index("found")
     assert np.all(ds.orbit_reason == found_flag)
     lanes = ds.where(ds.impacts > 4)  # with r = 0.4, some drives throw the ball so that it never rests
@@ -91,13 +78,8 @@ def test_section_during_sliding_has_multipliers_of_sliding_motion():
 @pytest.mark.long
 def test_no_motion_grazes_a_clock():
     """Without events, the margin is that of the section, which the forcing crosses at its own rate."""
-    lag = vj.System(
-        "lag",
-        states={"x": "1"},
-        parameters={"w": 1.0, "rate": 2.0},
-        field=lambda t, y, p: {"x": p["rate"] * (vj.elementary.cos(p["w"] * t) - y["x"])},
-        period=lambda p: 2 * np.pi / p["w"],
-    )
+    rate, period = lambda t, y, p: p["rate"] * (cos(p["w"] * t) - y["x"]), lambda p: 2 * np.pi / p["w"]
+    lag = one_state(rate, parameters={"w": 1.0, "rate": 2.0}, period=period)
     run = {"settle": 40.0, "observe": 40.0, "orbits": True}
     ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0]}, "run": run}, progress=False).squeeze()
     assert ds.stable == 1 and ds.grazing_margin == 1.0
@@ -119,9 +101,8 @@ def test_discontinuous_field():
         section="y",
         events=[vj.Switch("side", lambda t, y, p: y["x"])],
     )
-    ds = vj.run_sweep(
-        {"scene": piecewise, "starts": [[1.9, 0.0]], "grid": {"ga": [ga]}, "run": {"orbits": True}}, progress=False
-    ).squeeze()
+    tables = {"scene": piecewise, "starts": [[1.9, 0.0]], "grid": {"ga": [ga]}, "run": {"orbits": True}}
+    ds = vj.run_sweep(tables, progress=False).squeeze()
 
     def left(r):
         return r * np.exp(np.pi) / (1 + r * np.expm1(np.pi))
@@ -148,14 +129,69 @@ def test_discontinuous_field():
 @pytest.mark.long
 def test_departures_along_a_tangent_are_not_grazes():
     """Coulomb friction makes the mass stick in each period. The expected multiplier was computed with SciPy."""
-    floor = vj.System(
-        "floor",
-        states={"x": "m", "v": "m s-1"},
+    floor = mass(
+        lambda t, y, p: 1.5 * vj.elementary.sin(p["w"] * t + 0.3) - y["x"] - 0.1 * y["v"],
+        vj.Friction("floor_friction", lambda t, y, p: y["v"], lambda t, y, p: 0.8, law=1.0, acts_on="v"),
         parameters={"w": 0.3},
-        field=lambda t, y, p: {"x": y["v"], "v": 1.5 * vj.elementary.sin(p["w"] * t + 0.3) - y["x"] - 0.1 * y["v"]},
         period=lambda p: 2 * np.pi / p["w"],
-        events=[vj.Friction("floor_friction", lambda t, y, p: y["v"], lambda t, y, p: 0.8, law=1.0, acts_on="v")],
     )
     ds = vj.run_sweep({"scene": floor, "starts": [[0.0, 0.0]], "run": {"orbits": True}}, progress=False)
     assert ds.orbit_reason.attrs["flag_meanings"].split()[ds.orbit_reason.item()] == "found"
     assert ds.multiplier_abs.values.ravel()[0] == pytest.approx(0.10922531, abs=1e-7)
+
+
+# A lane near an unstable orbit is assigned to it only if the lane is shown to stay on it
+
+DOUBLED = {"gamma": 1.032361, "v": 1.124847, "c2": 62.5, "delta": 0.001271, "k0": 6815244.917454, "c0": 0.0}
+
+
+def rotor(t, y, p):
+    back = 3.0 * (1.0 - y["c"] * y["c"] - y["s"] * y["s"])
+    return {"c": back * y["c"] - 6.0 * y["s"], "s": back * y["s"] + 6.0 * y["c"], "y": p["growth"] * y["y"]}
+
+
+ROTOR = vj.System("rotor", states=dict.fromkeys("csy", "1"), parameters={"growth": 1.0}, field=rotor, section="s")
+"""A rotor (c, s) that returns to its circle, with y' = growth y. Only y = 0 never leaves its plane."""
+
+
+def orbit_reason(lane):
+    return ORBIT_REASONS[int(lane.orbit_reason)]
+
+
+@pytest.fixture(scope="module")
+def doubled_lane():
+    """Return a lane near an unstable 4-cycle, at least 15 s before it approaches its stable 8-cycle.
+
+    It runs without and with orbits, and with orbits after 120 s.
+    """
+    sweep = {"scene": "vibro-impact", "parameters": DOUBLED, "grid": {"beta": [0.189708]}, "starts": ["stuck"]}
+    runs = ({"settle": 60.0}, {"settle": 60.0, "orbits": True}, {"settle": 120.0, "orbits": True})
+    return [vj.run_sweep(sweep | {"run": run, "unusual": True}, progress=False).squeeze() for run in runs]
+
+
+def test_unstable_orbit_near_lane_is_another_orbit(doubled_lane):
+    own, early, late = doubled_lane
+    assert orbit_reason(early) == "another-orbit" and early.stable == -1
+    assert np.isnan(early.multiplier_abs).all() and np.isnan(early.orbit_x1) and early.orbit_cycles == 0
+    for name in ("period", "impact_velocity", "impact_phase", "stick_fraction"):
+        assert early[name] == own[name]
+    assert orbit_reason(late) == "found" and late.stable == 1 and late.orbit_cycles == 8
+
+
+def test_lane_near_unstable_orbit_has_no_error_bound(doubled_lane):
+    """The lane is 7e-5 from where it settles."""
+    own, early, late = doubled_lane
+    assert abs(own.impact_velocity / late.impact_velocity - 1) > 5e-5
+    assert np.isinf(early.error_estimate) and np.isinf(early.drift_estimate)
+
+
+@pytest.mark.parametrize(("y", "growth", "reason"), [(0.0, 1.0, "found"), (0.0, 0.1, "another-orbit")])
+def test_orbit_is_found_only_if_lane_would_have_left(y, growth, reason):
+    sweep = {"scene": ROTOR, "starts": [[1.0, 0.0, y]], "grid": {"growth": [growth]}, "unusual": True}
+    lane = vj.run_sweep(sweep | {"run": {"orbits": True}}, progress=False).squeeze()
+    assert lane.cycles == 1 and orbit_reason(lane) == reason
+    if reason == "found":
+        assert lane.stable == 0 and lane.error_estimate < 1e-4
+        np.testing.assert_allclose(lane.multiplier_abs[0], np.exp(growth * lane.period), rtol=1e-9)
+    elif y == 0:
+        assert np.isinf(lane.error_estimate)

@@ -1,12 +1,19 @@
-"""Tests of progress on stderr: lines in files, a bar on terminals."""
+"""Tests of progress on stderr, of the threads that share work, and of the estimated cost."""
 
 import io
+import time
 from contextlib import redirect_stderr
+from contextvars import ContextVar
 
 import pytest
 
 from vibrojax import progress as module
+from vibrojax.lanes.run import LaneRun
+from vibrojax.maps.cost import estimated_steps, tried
+from vibrojax.maps.read import read_sweep
+from vibrojax.maps.run import run_to_file
 from vibrojax.progress import Progress
+from vibrojax.threads import by_drivers, in_parallel
 
 
 class Terminal(io.StringIO):
@@ -78,3 +85,67 @@ def test_nothing_is_shown_if_disabled():
             progress.resume(1)
             progress.say("something")
         assert stream.getvalue() == ""
+
+
+# Threads that share work
+
+SETTING: ContextVar[int] = ContextVar("SETTING", default=0)
+
+
+def test_each_item_is_computed_once():
+    """Drivers may use the pool, and a thread of the pool computes its own items itself."""
+    pool = ["first", "second"]
+
+    def nested(worker: str, item: int) -> int:
+        return sum(result for _, result in in_parallel(lambda _, x: x, range(item), pool))
+
+    def drive(item: int) -> int:
+        return sum(result for _, result in in_parallel(nested, range(item), pool)) + SETTING.get()
+
+    SETTING.set(100)
+    expected = {index: sum(k * (k - 1) // 2 for k in range(item)) + 100 for index, item in enumerate(range(9))}
+    assert dict(by_drivers(drive, range(9), 3)) == expected
+
+
+def test_no_call_begins_after_an_error():
+    calls = []
+
+    def work(item: int) -> None:
+        calls.append(item)
+        time.sleep(0.01)
+        if item == 2:
+            raise ValueError("wrong")
+
+    with pytest.raises(ValueError, match="wrong"):
+        list(by_drivers(work, range(100), 1))
+    assert 3 <= len(calls) < 100
+
+
+# The cost that `--dry-run` prints and that limits a sweep before it runs
+
+MAP = {"scene": "vibro-impact", "grid": {"beta": {"start": 0.2, "stop": 0.6, "num": 512}}, "starts": ["stuck"]}
+
+
+def test_estimated_steps_match_computed_steps():
+    """All lanes are stepped to their end."""
+    sweep = read_sweep(MAP, ["run.end_early=false"])
+    inputs = sweep.inputs()
+    taken = LaneRun(inputs, sweep.plan).chunk(inputs).features["steps"].sum()
+    assert 2 / 3 < estimated_steps(sweep).sum() / taken < 3 / 2
+
+
+def test_stiff_lanes_take_more_steps():
+    """A stiff damper needs c2/m2 steps per second, divided by the stride 2; 1e6 and 1000 per second are the limit."""
+    usual, stiff, stiffest = (
+        estimated_steps(read_sweep(MAP | {"grid": {"c2": [c2]}})).sum() for c2 in (200, 1e6, 1e13)
+    )
+    assert stiff / usual == pytest.approx((1e4 / 2 + 45.0) / (45.0 + 18.0), rel=0.1)
+    assert stiffest == pytest.approx(1e6 + 48 * 1000, rel=0.1)
+
+
+def test_cost_is_extrapolated_from_few_lanes(tmp_path):
+    grid = {"beta": {"start": 0.2, "stop": 0.6, "num": 10}, "gamma": {"start": 0.6, "stop": 0.9, "num": 60}}
+    sweep = read_sweep(MAP | {"grid": grid, "run": {"settle": 2.0, "observe": 1.0, "carry": "beta"}})
+    cost = tried(sweep)
+    run_to_file(sweep, tmp_path / "out.nc", progress=False)
+    assert 0.3 < (tmp_path / "out.nc").stat().st_size / cost.file < 1.5

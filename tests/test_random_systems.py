@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from exact.described import Described, Rub, Stop, Surface
+from exact.described import Described, Stop, Surface
 from exact.hybrid import Hybrid
 from exact.random_systems import draw, structure
 from random_families import family_of, faults
@@ -10,7 +10,6 @@ from random_systems import built, compare, compare_sweep
 
 FREE = {"x": ((1.0, "v"),), "v": ((-1.0, "g"),)}
 WALL = Stop("wall", ((1.0, ""), (-1.0, "x")), velocity="v", restitution="r")
-RUB = Rub("rub", ((1.0, "v"),), ((1.0, ""),), "mu", "mu", "v", "m")
 
 
 def motion(field, events, start, end, count=501, **p):
@@ -31,19 +30,6 @@ def test_reference_bounces_until_rest():
     assert kinds(ball, "rest")[0][0] == pytest.approx(3 * fall, abs=2e-7) and np.all(ball.states[-1] == 0)
     t = ball.times[ball.times < fall]
     assert ball.states[: len(t), 0] == pytest.approx(1 - 9.81 * t**2 / 2, abs=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["friction", "switch", "reset"])
-def test_reference_block_against_wall(kind):
-    """The block hits the wall at sqrt(v0² - 2 mu L), and stops at L - (r v)²/(2 mu) = 0.625."""
-    drag = ((-0.2, "dir"),) if kind == "switch" else ()
-    wall = Stop("wall", WALL.gap, reset={"v": ((-0.5, "v"),)}) if kind == "reset" else WALL
-    events = [wall, Surface("dir", ((1.0, "v"),)) if kind == "switch" else RUB]
-    block = motion({"x": ((1.0, "v"),), "v": drag}, events, [0.0, 1.0], 4.0, r=0.5, mu=0.2)
-    speed = np.sqrt(0.6)
-    assert kinds(block, "impact")[0] == (pytest.approx((1 - speed) / 0.2), "wall", "impact", pytest.approx(speed))
-    assert block.events[-1][0] == pytest.approx((1 - speed) / 0.2 + 0.5 * speed / 0.2, abs=1e-10)
-    assert block.states[-1] == pytest.approx([0.625, 0.0], abs=1e-11)
 
 
 def test_reference_reports_doubtful_points():
@@ -99,43 +85,3 @@ def test_sweeps_of_random_systems(seed):
     points = [{name: x + 0.3 * name.startswith("c_") for name, x in p.items()} for p in draws]
     outcomes = compare_sweep(described, points, [0.1, 0.2, -0.15, 0.05][: len(described.states)], settle=150.0)
     assert [verdict for verdict in outcomes if verdict.kind == "WRONG"] == []
-
-
-def test_reference_leaves_shaken_table():
-    """The table's acceleration is -a w² cos(w t); the ball leaves where it is -g, and meets the table again."""
-    a, w, g = 1.5 * 9.81 / (2 * np.pi) ** 2, 2 * np.pi, 9.81
-    table = Stop("table", ((1.0, "x"), (1.0, "a cos")), velocity="v", restitution="r")
-    ball = motion(FREE, [table], [-a, 0.0], 1.5, g=g, r=0.0, a=a, omega=w)
-    assert ball.events[0][:3] == (pytest.approx(np.arccos(-1 / 1.5) / w, abs=1e-10), "table", "release")
-    assert [entry[2] for entry in ball.events[1:3]] == ["impact", "rest"] and ball.doubt[0] == np.inf
-
-
-@pytest.mark.parametrize("mu, end", [(0.6, 1.0), (0.3, 1.0 - 0.5 * 0.2 * 4)])
-def test_reference_rest_on_stop_with_friction(mu, end):
-    """Pushed onto the stop, then pulled away by 0.5: friction of 0.6 holds the block, and one of 0.3 does not."""
-    field = {"x": ((1.0, "v"),), "v": ((0.5, "pull"),), "z": ((-1.0, ""),)}
-    events = [WALL, RUB, Surface("pull", ((1.0, "z"),))]
-    block = motion(field, events, [1.0, 0.0, 2.0], 4.0, r=0.5, mu=mu)
-    assert block.states[-1, :2] == pytest.approx([end, 2 * (end - 1.0) / 2.0], abs=1e-10) and block.doubt[0] == np.inf
-
-
-def test_reference_sawtooth_with_switch():
-    """The wrap x -> x - 1 crosses the surface of the switch at x = 1/2."""
-    wrap = Stop("wrap", ((1.0, ""), (-1.0, "x")), reset={"x": ((1.0, "x"), (-1.0, ""))})
-    half = Surface("half", ((1.0, "x"), (-0.5, "")))
-    saw = motion({"x": ((1.0, ""),), "y": ((1.0, "half"),)}, [wrap, half], [0.25, 0.0], 2.5)
-    assert saw.states[-1] == pytest.approx([0.75, 0.0], abs=1e-11)
-    assert saw.states[:, 0].min() >= -1e-12 and [e[0] for e in kinds(saw, "impact")] == pytest.approx([0.75, 1.75])
-
-
-@pytest.mark.parametrize("static", [0.2, 0.4])
-def test_reference_stick_slip(static):
-    """Den Hartog: slip lasts 2 (pi - arctan(rise/v)), stick 2 rise/v."""
-    belt = Rub("belt", ((1.0, "v"), (-1.0, "b")), ((1.0, ""),), "mu", "static", "v", "m")
-    field = {"x": ((1.0, "v"),), "v": ((-1.0, "x"),)}
-    result = motion(field, [belt], [0.0, 0.1], 30.0, mu=0.2, static=static, b=0.1)
-    rise, slips = static - 0.2, [entry[0] for entry in kinds(result, "slip")]
-    if rise:
-        assert np.diff(slips) == pytest.approx(2 * (np.pi - np.arctan(rise / 0.1)) + 2 * rise / 0.1, abs=1e-9)
-    else:  # then a circle that touches the belt's speed, which is a doubtful point
-        assert slips[0] == pytest.approx(2.0, abs=1e-9) and result.doubt[0] < 10

@@ -1,11 +1,16 @@
-"""Test that the tables and texts about scenes agree with what sweeps accept and return."""
+"""Test that tables and texts about scenes agree with what sweeps accept, and warnings of values in a wrong unit."""
 
 import re
+import warnings
 
 import pytest
 
 import vibrojax as vj
 from vibrojax.cli import main
+from vibrojax.errors import Place
+from vibrojax.maps.read import read_point
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.scenes import SCENES
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.studies.catalogue import scene_text
 
@@ -43,3 +48,58 @@ def test_scenes_command(capsys):
     assert re.search(r"  striker_frequency +f₂ +2.984   Hz .* in place of gamma\n", text)
     assert main(["scenes", "rotry"]) == 2
     assert capsys.readouterr().err == 'vibrojax: scenes: "rotry" is unknown; did you mean "rotary"?\n'
+
+
+# Values in a wrong unit
+
+
+def warning_text(scene, **parameters):
+    """Return the text of the only warning for a point."""
+    with pytest.warns(vj.UnusualValue) as caught:
+        read_point(Place("simulate"), scene, parameters)
+    assert len(caught) == 1 and "\n" not in str(caught[0].message)
+    return str(caught[0].message)
+
+
+@pytest.mark.parametrize(
+    ("scene", "name", "value", "suggestion"),
+    [
+        ("vibro-impact", "delta", -5.0, "if in mm, write -0.005 m"),
+        ("rotary", "k1", 156.25, "if in N/mm, write 156250 N/m"),
+        ("rotary", "v", 120.0, "of a rotation give rpm and bit_radius"),
+        ("penetration", "frequency", 1200.0, "if in 1/min, write 20 1/s"),
+        ("vibro-impact", "m1", 20.0, "(100 to 500 kg); check its unit"),
+    ],
+)
+def test_value_in_wrong_unit_gives_warning(scene, name, value, suggestion):
+    line = warning_text(scene, **{name: value})
+    assert line.startswith(f"simulate: {name}: ") and "far outside what the source and rigs have" in line
+    assert suggestion in line
+
+
+def test_defaults_and_limits_of_usual_range_give_no_warning():
+    for scene_type in SCENES.values():
+        for parameter in scene_type().parameters().values():
+            assert not parameter.is_far(parameter.default)
+            for end in parameter.usual or ():
+                assert not parameter.is_far(end)
+                assert parameter.is_far(1e9 * (end or 1.0))
+    for law in FRICTION_LAWS.values():
+        assert not any(parameter.is_far(parameter.default) for parameter in law.parameters.values())
+
+
+def test_sweep_warns_once_per_axis_unless_marked_unusual():
+    sweep = {"scene": "vibro-impact", "parameters": {"k0": 50.0}, "grid": {"delta": [-5.0, 0.0, 5.0]}}
+    with pytest.warns(vj.UnusualValue) as caught:
+        vj.read_sweep(sweep)
+    assert [str(record.message).partition(" far ")[0] for record in caught] == [
+        "sweep: parameters.k0: 50 N/m is",
+        "sweep: grid.delta: 2 of 3 values, such as -5 m, are",
+    ]
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        vj.read_sweep(sweep | {"unusual": True})
+        vj.read_sweep(sweep, ["unusual=true"])
+    with pytest.raises(vj.InputError, match="sweep: unusual: 1 is neither true nor false"):
+        vj.read_sweep(sweep | {"unusual": 1})

@@ -1,13 +1,7 @@
-"""Test derivatives at periodic orbits against central differences of other converged orbits and closed forms.
+"""Test derivatives at periodic orbits against central differences of other converged orbits and closed forms."""
 
-The second half tests `as_jax`, in the same file because both use the same compiled programs.
-"""
-
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 from systems import IMPACT_OSCILLATOR, oscillator_orbits
 
 import vibrojax as vj
@@ -158,137 +152,13 @@ def test_point_without_derivative_has_reason(given, reason):
     assert DERIVATIVE_REASONS[int(s.reason)] == reason and s["valid"] == 0 and s.d_impact_velocity.isnull().all()
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
+def test_wrong_points_are_refused():
+    for given, message in (
         ({"of": ["peroid"]}, 'of: the scene has no "peroid" to differentiate; did you mean "period"'),
-        ({"of": ["impacts"]}, 'of: the scene has no "impacts" to differentiate'),
         ({"beta": [0.4, 0.5]}, "beta: .* is not a number"),
-    ],
-)
-def test_wrong_points_are_refused(given, message):
-    with pytest.raises(InputError, match=message):
-        at_point(**given)
-
-
-# Functions of JAX arrays
-
-
-OF = ("impact_power", "period")
-FIXED = {"start": "stuck", "delta": 0.005}
-HERE = np.array([0.4, 0.75])
-BEYOND = np.array([0.6, 0.5])  # on the path from HERE the stick phase vanishes, and the orbit with it
-
-
-def jax_function(**arguments):
-    f = vj.as_jax("vibro-impact", of=OF, by=["beta", "gamma"], **FIXED | arguments)
-    f(HERE)
-    return f
-
-
-@pytest.fixture(scope="module")
-def f():
-    return jax_function()
-
-
-def test_values_and_gradients_agree_with_sensitivity(f):
-    sweep = {"scene": "vibro-impact", "parameters": {"beta": 0.42, "gamma": 0.7, "delta": 0.005}, "starts": ["stuck"]}
-    s = vj.sensitivity(sweep, by=["beta", "gamma"], progress=False)
-    x = jnp.array([0.42, 0.7])
-    values = f(x)
-    assert bool(values["valid"]) and values["margin"] == pytest.approx(np.log(s.multiplier_abs.values.max()), rel=1e-9)
-    for name in (*OF, "grazing_margin"):
-        assert values[name] == pytest.approx(s[name].item(), rel=1e-9)
-        gradient = jax.grad(lambda x, name=name: f(x)[name])(x)
-        np.testing.assert_allclose(gradient, s[f"d_{name}"].values.ravel(), rtol=1e-8)
-
-
-def test_transformations_and_precisions(f):
-    points = jnp.array([[0.4, 0.75], [0.41, 0.73], BEYOND])
-    alone = [jax.value_and_grad(lambda x: f(x)["impact_power"])(x) for x in points]
-    values, gradients = jax.jit(jax.vmap(jax.value_and_grad(lambda x: f(x)["impact_power"])))(points)
-    np.testing.assert_allclose(values, [value for value, _ in alone], rtol=1e-12)
-    np.testing.assert_allclose(gradients, [gradient for _, gradient in alone], rtol=1e-9)
-    assert jax.jit(jax.vmap(f))(points)["valid"].tolist() == [True, True, False]
-    nested = jax.jacrev(jax.vmap(jax.vmap(lambda x: f(x)["period"])))(points[None])
-    np.testing.assert_allclose(nested[0, 1, 0, 1], jax.jacfwd(lambda x: f(x)["period"])(points[1]), rtol=1e-12)
-    with jax.enable_x64(False):
-        single = jax.value_and_grad(lambda x: f(x)["impact_power"])(jnp.array([0.4, 0.75]))
-        assert single[1].dtype == jnp.float32
-        np.testing.assert_allclose(single[1], alone[0][1], rtol=1e-4)
-    with pytest.raises(InputError, match=r"as_jax: second derivatives are not available; use finite differences"):
-        jax.hessian(lambda x: f(x)["period"])(HERE)
-
-
-@pytest.mark.long
-def test_results_do_not_depend_on_other_calls_or_neighbours_in_a_batch():
-    """Each function is new, so that no result is a stored one; the results agree bit for bit."""
-    points = np.random.default_rng(5).uniform([0.3, 0.5], [0.7, 1.1], (6, 2))
-    points[0] = [0.5941523925535459, 0.7872783245445198]  # from a neighbour, another orbit is nearer than on the line
-
-    def results(order, size):
-        f = jax_function(at=HERE)
-        batch = jax.jit(jax.vmap(lambda x: (f(x), jax.jacrev(lambda x: jnp.stack([f(x)[name] for name in OF]))(x))))
-        parts = [batch(jnp.asarray(points[order[k : k + size]])) for k in range(0, len(order), size)]
-        table = {name: np.concatenate([values[name] for values, _ in parts]) for name in parts[0][0]}
-        table["gradient"] = np.concatenate([gradient for _, gradient in parts])
-        return {name: x[np.argsort(order)] for name, x in table.items()}
-
-    forth = np.arange(len(points))
-    alone = results(forth, 1)
-    assert 0 < alone["valid"].sum() < len(points)
-    other = results(forth[::-1], 3)
-    for name, x in alone.items():
-        np.testing.assert_array_equal(x, other[name])
-
-
-def test_values_outside_region_of_validity(f):
-    """There the function returns finite values, those of the last valid orbit on the path, or NaN."""
-    beyond = f(BEYOND)
-    gradient = jax.grad(lambda x: f(x)["period"])(BEYOND)
-    assert not beyond["valid"] and np.isfinite([*gradient, *(beyond[name] for name in OF)]).all()
-    assert f.reason(BEYOND).startswith("beyond-branch: from beta = 0.4")
-    unknown = jax_function(outside="nan")
-    assert np.isnan([unknown(BEYOND)[name] for name in OF]).all() and not unknown(BEYOND)["valid"]
-    assert np.isnan(jax.grad(lambda x: unknown(x)["period"])(BEYOND)).all()
-    assert jnp.isfinite(unknown(HERE)["period"])
-
-
-def test_optimizer_converges(f):
-    """If the stability margin is bounded, the maximum of the power lies on the bound."""
-    scale, least = 1e-3, 0.4
-    value = jax.jit(jax.value_and_grad(lambda x: -scale * f(x)["impact_power"]))
-    margin = jax.jit(jax.value_and_grad(lambda x: -f(x)["margin"] - least))
-    bound = {"type": "ineq", "fun": lambda x: margin(x)[0], "jac": lambda x: np.asarray(margin(x)[1])}
-    best = minimize(
-        lambda x: tuple(map(np.asarray, value(x))), HERE, jac=True, method="SLSQP", constraints=[bound],
-        bounds=[(0.35, 0.45), (0.65, 0.8)],
-    )  # fmt: skip
-    assert best.success and f(jnp.asarray(best.x))["valid"]
-    assert f(jnp.asarray(best.x))["margin"] == pytest.approx(-least, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"of": "impacts"}, r"as_jax: of: the scene has no .impacts. to differentiate"),
-        ({"outside": "zero"}, "as_jax: outside: .zero. is unknown; choose from nearest, nan"),
-    ],
-)
-def test_wrong_arguments_are_refused(arguments, message):
-    with pytest.raises(InputError, match=message):
-        vj.as_jax("vibro-impact", **{"of": "period", "by": ["beta", "gamma"]} | arguments)
-
-
-@pytest.mark.long
-def test_orbit_continues_where_an_impact_passes_the_section():
-    """At a = 0.84 the state at the section jumps, and nothing else; the motion is that of a closed form."""
-    point = {"w": 0.9, "damping": 0.1, "stop": 1.0, "r": 0.7}
-    f = vj.as_jax(IMPACT_OSCILLATOR, of="impact_velocity", by="a", at=[1.0], **point)
-    for a in (0.8, 0.6):
-        assert f([a])["valid"] and f([a])["impact_velocity"] == pytest.approx(impact_speed(a=a, **point), rel=1e-8)
-        slope = (impact_speed(a=a + 1e-6, **point) - impact_speed(a=a - 1e-6, **point)) / 2e-6
-        assert jax.grad(lambda x: f(x)["impact_velocity"])(jnp.array([a])) == pytest.approx(slope, rel=1e-6)
+    ):
+        with pytest.raises(InputError, match=message):
+            at_point(**given)
 
 
 @pytest.mark.long

@@ -58,22 +58,6 @@ def flip_bit(path, place):
     path.write_bytes(content)
 
 
-DAMAGES = [(flip_bit, 55), (os.truncate, 200)]
-
-
-@pytest.mark.parametrize(("damage", "place"), DAMAGES)
-def test_damaged_chunk_is_detected(store, damage, place, capsys):
-    damage(chunk_path(store, 2), place)
-    with reopen(store) as opened:
-        assert opened.finished() == {0}
-        line = capsys.readouterr().err
-        assert line.count("\n") == 1 and "chunk-00000002" in line and "; computed again" in line
-        with pytest.raises(DamagedChunk):
-            opened.read(2)
-        opened.write(2, arrays(2))
-        assert opened.finished() == {0, 2}
-
-
 def test_no_flipped_bit_changes_a_value(store):
     """A few bits of an archive mean nothing, such as those of its date."""
     path, detected = chunk_path(store, 2), 0

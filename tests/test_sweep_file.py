@@ -1,4 +1,4 @@
-"""Test how valid sweep files are read. Invalid ones are in test_sweep_file_refused."""
+"""Test how valid sweep files and starts are read. Invalid files are in test_sweep_file_refused."""
 
 from math import pi
 
@@ -7,8 +7,12 @@ import pandas as pd
 import pint
 import pytest
 import xarray as xr
+from refusals import refusal
 
-from vibrojax.errors import InputError, Place
+import vibrojax as vj
+from vibrojax.errors import Place
+from vibrojax.io.dataset import open_dataset
+from vibrojax.io.writers import write_dataset
 from vibrojax.maps.read import read_point, read_sweep
 from vibrojax.settings.run_settings import RunSettings
 
@@ -64,18 +68,6 @@ def test_lanes_run_in_row_major_order(tmp_path):
     part, part_starts = sweep.lane_values(17, 61)
     assert all((part[name] == values[name][17:61]).all() for name in values)
     assert (part_starts == starts[17:61]).all()
-
-
-def test_grid_too_large_for_memory_is_read_lazily():
-    axis = {"start": 0.1, "stop": 1.2, "num": 10**5}
-    sweep = read_sweep({"scene": "rotary", "grid": {"beta": axis, "gamma": axis, "v": [1.0, 2.0]}})
-    assert sweep.lanes == 4 * 10**10
-    values, starts = sweep.lane_values(sweep.lanes - 3, sweep.lanes)
-    assert (
-        values["beta"].tolist() == [1.2] * 3
-        and values["v"].tolist() == [1.0, 2.0, 2.0]
-        and starts.tolist() == [1, 0, 1]
-    )
 
 
 def test_dict_and_its_text_give_same_sweep(tmp_path):
@@ -152,9 +144,7 @@ def test_points_can_be_data_frame():
         (frame[["beta", "beta"]], "sweep: points.beta: is there already; give each column once"),
         (frame.rename(columns={"beta": "bet"}), 'sweep: points.bet: scene "vibro-impact" has no such parameter'),
     ):
-        with pytest.raises(InputError) as caught:
-            read_sweep({**base, "points": wrong})
-        assert str(caught.value).startswith(line)
+        assert refusal(read_sweep, {**base, "points": wrong}).startswith(line)
 
 
 def with_unit(array, unit):
@@ -192,21 +182,16 @@ def test_datasets_are_converted_from_the_units_that_they_state():
     assert [point.parameters[name] for name in ("v", "beta")] == pytest.approx([1.2, 0.4], rel=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("tables", "line"),
-    [
+def test_arrays_in_other_units_are_refused():
+    for tables, line in (
         ({"grid": {"v": with_unit(xr.DataArray([0.8]), "kN")}}, 'sweep: grid.v: is in "kN"; a unit of m/s is needed'),
         ({"grid": {"v": [1 * UNIT.lightyear]}}, 'sweep: grid.v[0]: is in "ly"; a unit of m/s is needed'),
         (
             {"grid": {"v": [1.0]}, "run": {"settle": with_unit(xr.DataArray(3.0), "min")}},
             'sweep: run.settle: is in "min"; a number in SI units is needed',
         ),
-    ],
-)
-def test_arrays_in_other_units_are_refused(tables, line):
-    with pytest.raises(InputError) as caught:
-        read_sweep({"scene": "vibro-impact"} | tables)
-    assert str(caught.value) == line
+    ):
+        assert refusal(read_sweep, {"scene": "vibro-impact"} | tables) == line
 
 
 def test_points_file_is_relative_to_sweep_file(tmp_path):
@@ -233,3 +218,85 @@ def test_single_point_is_read_like_file():
     point = read_point(Place("simulate"), "vibro-impact", {"rpm": 120, "bit_radius": 0.1, "friction": "coulomb"})
     assert (point.options, point.start) == ({"friction": "coulomb"}, "drive")
     assert point.parameters["v"] == pytest.approx(SPEED) and set(point.parameters) == set(point.system.parameters())
+
+
+# Samples of a box, planes of states and columns of points as starts
+
+BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
+STATES = ("x1", "v1", "x2", "v2")
+RUN = {"settle": 1.0, "observe": 1.0}
+
+
+def read_starts(starts, **more):
+    return vj.read_sweep({"scene": "vibro-impact", "starts": starts, "run": RUN} | more)
+
+
+def sobol(count=64, **more):
+    return {"sample": "sobol", "count": count, "seed": 0, "box": BOX} | more
+
+
+def test_sobol_sample_has_one_start_in_each_slice():
+    """In one dimension, of 2^m points of the sequence one lies in each of 2^m slices (Sobol 1967)."""
+    starts = read_starts(sobol()).starts
+    low, high = np.array(list(BOX.values())).T
+    slices = np.floor(64 * (starts.vectors - low) / (high - low)).astype(int)
+    for column in slices.T:
+        assert sorted(column) == list(range(64))
+    assert (read_starts(sobol(40)).starts.vectors == starts.vectors[:40]).all()
+    assert (read_starts(sobol(seed=1)).starts.vectors != starts.vectors).all()
+
+
+def test_plane_is_row_major_in_given_order():
+    plane = {"plane": {"v2": [0.5, 1.0], "x2": {"start": -0.01, "stop": 0.01, "num": 3}}, "at": {"v1": -1.5}}
+    expected = [[0.0, -1.5, x2, v2] for v2 in (0.5, 1.0) for x2 in (-0.01, 0.0, 0.01)]
+    np.testing.assert_allclose(read_starts(plane).starts.vectors, expected, rtol=0, atol=1e-17)
+
+
+def test_sweep_over_sample_agrees_with_sweep_over_listed_vectors(tmp_path):
+    drawn = read_starts(sobol(6), parameters={"beta": 0.4})
+    sampled = vj.run_sweep(drawn, progress=False)
+    assert sampled.regime.dims == ("start",) and sampled.start.values.tolist() == list(range(6))
+    vectors = [list(vector) for vector in drawn.starts]
+    listed = vj.run_sweep({"scene": "vibro-impact", "starts": vectors, "grid": {"beta": [0.4]}, "run": RUN}, False)
+    for name in ("period", "impact_velocity", "bit_amplitude"):
+        np.testing.assert_array_equal(sampled[name], listed[name].isel(beta=0))
+    for column, (name, unit) in enumerate(zip(STATES, ("m", "m s-1", "m", "m s-1"), strict=True)):
+        np.testing.assert_array_equal(sampled[f"start_{name}"], np.array(vectors)[:, column])
+        assert sampled[f"start_{name}"].attrs["units"] == unit
+    write_dataset(sampled, tmp_path / "starts.nc")
+    assert vj.picture(open_dataset(tmp_path / "starts.nc"))
+    again = vj.orbits(sampled, progress=False)  # from the sweep text in the dataset
+    np.testing.assert_array_equal(again.start_x1, sampled.start_x1)
+
+
+def test_invalid_starts_are_refused_in_one_line():
+    for starts, line in (
+        ({}, "starts: neither a sample nor a plane; write one like"),
+        (sobol(0), "starts.count: 0 does not fit; a whole number from 1 to"),
+        (sobol(box={"y1": [0, 1]}), "starts.box.y1: unknown key; did you mean"),
+        (sobol(box={"x1": [0.1, -0.1]}), "starts.box.x1: from 0.1 to -0.1 is not a side of a box; the first end must"),
+        ({"plane": {"x2": {"start": 0, "stop": 1, "num": 10**4}, "v2": {"start": 0, "stop": 1, "num": 10**4}}}, "many"),
+    ):
+        assert line in refusal(read_starts, starts)
+
+
+COLUMNS = ("start_x1", "start_v1", "start_x2", "start_v2")
+VECTORS = np.array([[0.0, -1.5, 0.0, 0.0], [0.01, 0.3, -0.02, 1.0], [-0.03, 0.0, 0.001, -2.0]])
+
+
+def sweep(vectors=VECTORS, **more):
+    points = {name: vectors[:, i].tolist() for i, name in enumerate(COLUMNS)}
+    return {"scene": "vibro-impact", "points": points | more, "run": RUN}
+
+
+def test_each_point_starts_from_its_own_state():
+    dataset = vj.run_sweep(sweep(beta=[0.4, 0.3, 0.5]), progress=False)
+    assert dataset.regime.dims == ("point",) and "start" not in dataset.dims
+    for i, beta in enumerate((0.4, 0.3, 0.5)):
+        single_sweep = {"scene": "vibro-impact", "starts": [VECTORS[i].tolist()], "grid": {"beta": [beta]}, "run": RUN}
+        alone = vj.run_sweep(single_sweep, progress=False).squeeze()
+        for name in ("period", "impact_velocity", "bit_amplitude", "drive_power"):
+            assert float(dataset[name][i]) == float(alone[name]), name
+    # The first vector is the named start `stuck`.
+    named = vj.run_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"beta": [0.4]}, "run": RUN}, False)
+    assert float(dataset.period[0]) == named.period.item()

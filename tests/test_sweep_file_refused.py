@@ -1,22 +1,23 @@
-"""Test that invalid sweep files give one line that names the file, the key and the value, and suggests a fix."""
+"""Test that invalid sweep files give one line that names the file, the key and the value, and suggests a fix.
+
+VIBROJAX_FUZZ=100000 pytest tests/test_sweep_file_refused.py -k fuzzed searches longer.
+"""
+
+import os
+from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.maps.cost import check_size
 from vibrojax.maps.read import read_sweep
 
 GRID = {"beta": [0.4]}
-
-
-def refusal(source) -> str:
-    """Return the line with which `source` is refused."""
-    with pytest.raises(InputError) as caught:
-        read_sweep(source)
-    line = str(caught.value)
-    assert "\n" not in line
-    return line
 
 
 @pytest.mark.parametrize(
@@ -26,6 +27,7 @@ def refusal(source) -> str:
         ("0.3,0.7\n0.4,0.7\n", 'p.csv: line 1: "0.3, 0.7" are numbers; the first line names the columns'),
         ("beta,gamma\n0.3,1\n0.3\n", "p.csv: line 3: has 1 cells; 2 are needed"),
         ("beta\n0.3\nabc\n", 'p.csv: line 3, column beta: "abc" is not a number'),
+        ("beta\n0.3\n0_4\n", 'p.csv: line 3, column beta: "0_4" is not a number'),
         ("beta,start\n0.3,drvie\n", 'p.csv: line 2, column start: "drvie" is unknown; did you mean "drive"?'),
     ],
 )
@@ -33,7 +35,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
     (tmp_path / "p.csv").write_text(text)
     source = tmp_path / "map.toml"
     source.write_text('scene = "vibro-impact"\npoints = "p.csv"\n')
-    assert line in refusal(source).replace(str(tmp_path) + "/", "")
+    assert line in refusal(read_sweep, source).replace(str(tmp_path) + "/", "")
 
 
 @pytest.mark.parametrize(
@@ -70,7 +72,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
 def test_wrong_input_is_refused(changes, line):
     tables = {"scene": "vibro-impact", "grid": GRID} | changes
     dropped = [key for key in ("scene", "grid") if tables[key] is None]
-    assert line in refusal({key: value for key, value in tables.items() if key not in dropped})
+    assert line in refusal(read_sweep, {key: value for key, value in tables.items() if key not in dropped})
 
 
 # files
@@ -86,17 +88,16 @@ def test_wrong_input_is_refused(changes, line):
 def test_files_that_are_not_toml_are_refused(tmp_path, content, line):
     path = tmp_path / "map.toml"
     path.write_bytes(content)
-    assert line in refusal(path)
+    assert line in refusal(read_sweep, path)
 
 
 def test_missing_files_are_refused(tmp_path):
     (tmp_path / "map.toml").write_text("")
-    assert 'mpa.toml: no such file; give the path of one that is there (did you mean "map.toml"?)' in refusal(
-        tmp_path / "mpa.toml"
-    )
-    assert "is a folder; give the path of a file" in refusal(tmp_path)
-    assert "cannot be read" in refusal("a\0.toml")
-    assert refusal(3) == "sweep: 3 is not a sweep; give a path, a bundled name or a dict"
+    line = 'mpa.toml: no such file; give the path of one that is there (did you mean "map.toml"?)'
+    assert line in refusal(read_sweep, tmp_path / "mpa.toml")
+    assert "is a folder; give the path of a file" in refusal(read_sweep, tmp_path)
+    assert "cannot be read" in refusal(read_sweep, "a\0.toml")
+    assert refusal(read_sweep, 3) == "sweep: 3 is not a sweep; give a path, a bundled name or a dict"
 
 
 @pytest.mark.parametrize(("run", "least"), [({}, 1e-12), ({"method": "smoothed"}, 3.2e-5)])
@@ -141,19 +142,14 @@ def test_objects_are_kept():
     assert sweep.system.friction is law and 'friction = "coulomb"' in sweep.text
 
 
-@pytest.mark.parametrize(
-    ("word", "line"),
-    [
+def test_bad_words_are_refused():
+    for word, line in (
         ("k1", '--set: "k1" is not NAME=VALUE; write one, like k1=312500 or run.settle=200'),
         ("ran.settle=3", '--set: ran.settle: unknown table "ran"; did you mean "run"?'),
         ("kk1=3", 'scene "vibro-impact" has no such parameter; did you mean "k1"?'),
         ("settle=long", 'run.settle: "long" is text'),
-    ],
-)
-def test_bad_words_are_refused(word, line):
-    with pytest.raises(vj.InputError) as refused:
-        changed(word)
-    assert line in str(refused.value)
+    ):
+        assert line in refusal(changed, word)
 
 
 def test_command(tmp_path, monkeypatch, capsys):
@@ -172,35 +168,116 @@ FREQUENCIES = (
 PULSES = "frequency (pulses per second [1/s])"
 
 
-@pytest.mark.parametrize(
-    ("scene", "word", "meant"),
-    [
+def test_names_are_suggested_by_meaning():
+    for scene, word, meant in (
         ("vibro-impact", "gap", "delta (gap [m])"),
         ("vibro-impact", "speed", SPEEDS),
         ("vibro-impact", "freq", FREQUENCIES),
         ("penetration", "hz", PULSES),
-    ],
-)
-def test_names_are_suggested_by_meaning(scene, word, meant):
-    with pytest.raises(InputError) as error:
-        vj.read_sweep({"scene": scene, "grid": {word: [1.0, 2.0]}})
-    assert str(error.value).endswith(f"; did you mean {meant}?")
+    ):
+        line = refusal(vj.read_sweep, {"scene": scene, "grid": {word: [1.0, 2.0]}})
+        assert line.endswith(f"; did you mean {meant}?")
 
 
-@pytest.mark.parametrize(
-    ("scene", "values", "line"),
-    [
+def test_values_that_determine_no_parameter_are_refused():
+    for scene, values, line in (
         ("rotary", {"gap": 1}, 'gap: scene "rotary" has no delta (gap [m]); scenes with one: coupled-drilling, '),
         ("vibro-impact", {"blows": 200}, "blows: is a result of the motion and determines no parameter; give v"),
         ("rotary", {"gamma": 0.7, "striker_frequency": 3}, "striker_frequency: gamma is given as well; give gamma, or"),
         ("rotary", {"striker_frequency": 0}, "striker_frequency: is 0; it must be above 0 Hz"),
-    ],
-)
-def test_values_that_determine_no_parameter_are_refused(scene, values, line):
-    for call in (
-        lambda: vj.simulate(scene, **values, progress=False),
-        lambda: vj.read_sweep({"scene": scene, "parameters": values, "grid": {"m1": [250.0]}}),
     ):
-        with pytest.raises(InputError) as error:
-            call()
-        assert line in str(error.value) and "\n" not in str(error.value)
+        assert line in refusal(vj.simulate, scene, **values, progress=False)
+        assert line in refusal(vj.read_sweep, {"scene": scene, "parameters": values, "grid": {"m1": [250.0]}})
+
+
+# Any sweep file, dict or CSV ends in a sweep or in a one-line error
+
+SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
+fuzzed = settings(
+    max_examples=int(os.environ.get("VIBROJAX_FUZZ", 40)),
+    deadline=5000,  # [ms]; catches hangs
+    derandomize="VIBROJAX_FUZZ" not in os.environ,
+    suppress_health_check=list(HealthCheck),
+)
+
+KEYS = """
+    scene title starts points parameters grid run beta gamma v delta k0 c0 c2 m1 mu rpm bit_radius rock threshold k3
+    zeta force frequency friction pulse_shape settle observe error chunk keep_returns method step smoothing
+    precision end_early start stop num spacing
+"""
+VALID = """
+    vibro-impact rotary penetration drilling coupled-drilling drive stuck touching stribeck coulomb sandstone
+    granite located smoothed float32 float64 log linear sweep half-sine p.csv
+"""
+NAMES, WORDS = st.sampled_from(KEYS.split()), st.sampled_from(VALID.split())
+NUMBERS = (
+    st.floats()
+    | st.integers(-3, 10**6)
+    | st.sampled_from([0, -0.0, 1, 0.4, 1e-3, 5e-324, 1e308, 10**12, 2**63, 10**400])
+)
+SCALARS = NUMBERS | st.booleans() | WORDS | st.text(max_size=8) | st.none()
+ANY_VALUES = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=5) | st.dictionaries(NAMES | st.text(max_size=5), inner, max_size=5)
+)
+RANGES = st.fixed_dictionaries(
+    {"start": NUMBERS, "stop": NUMBERS, "num": NUMBERS}, optional={"spacing": WORDS | st.none()}
+)
+AXES = st.lists(NUMBERS, max_size=4) | RANGES | ANY_VALUES
+TABLES = st.fixed_dictionaries(
+    {"scene": st.sampled_from(["vibro-impact", "rotary", "penetration", "drilling"]) | ANY_VALUES},
+    optional={
+        "title": ANY_VALUES,
+        "starts": st.lists(WORDS | st.lists(NUMBERS, max_size=5), max_size=3) | ANY_VALUES,
+        "parameters": st.dictionaries(NAMES, SCALARS, max_size=4) | ANY_VALUES,
+        "grid": st.dictionaries(NAMES, AXES, max_size=3) | ANY_VALUES,
+        "points": st.dictionaries(NAMES, st.lists(SCALARS, max_size=4), max_size=3) | ANY_VALUES,
+        "run": st.dictionaries(NAMES, SCALARS, max_size=4) | ANY_VALUES,
+    },
+)
+
+
+def check_reading_ends(source) -> None:
+    """Check that reading gives a usable sweep or a one-line error."""
+    try:
+        sweep = read_sweep(source)
+        assert sweep.lanes >= 1 and sweep.dims and sweep.identity()
+        values, starts = sweep.lane_values(sweep.lanes - 1, sweep.lanes)
+        assert set(values) == set(sweep.system.parameters()) and starts.shape == (1,)
+        check_size(sweep)
+    except InputError as error:
+        assert str(error) and "\n" not in str(error)
+
+
+@fuzzed
+@given(TABLES | st.dictionaries(NAMES | st.text(max_size=5), ANY_VALUES, max_size=5))
+@example({"scene": "rotary", "grid": {"beta": [5e-324, 1.7e308]}, "run": {"settle": 1.7e308, "observe": 1.7e308}})
+@example({"scene": "rotary", "grid": {"beta": {"start": 1e-300, "stop": 1.7e308, "num": 3, "spacing": "log"}}})
+def test_fuzzed_dicts(tables):
+    check_reading_ends(tables)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return tmp_path_factory.mktemp("fuzzed") / "map.toml"
+
+
+@st.composite
+def mutated_sweep_text(draw) -> str:
+    """Draw a bundled sweep in which parts are removed, repeated, replaced or inserted."""
+    text = draw(st.sampled_from(SWEEPS))
+    for _ in range(draw(st.integers(1, 4))):
+        a, b = sorted((draw(st.integers(0, len(text))), draw(st.integers(0, len(text)))))
+        b = min(b, a + draw(st.integers(0, 30)))
+        new = draw(st.sampled_from(["", text[a:b] * 2]) | SCALARS.map(str) | NAMES | st.text(max_size=5))
+        text = text[:a] + new + text[b:]
+    return text
+
+
+@fuzzed
+@given(mutated_sweep_text() | st.text(max_size=200))
+@example("a = " + "[" * 5000)
+@example("a" + ".a" * 5000 + " = 1")
+@example("scene = 'rotary'\ngrid.beta = [1_0e9999, 0x1f, 1979-05-27T07:32:00Z]")
+def test_fuzzed_files(file, text):
+    file.write_bytes(text.encode("utf-8", "surrogatepass"))
+    check_reading_ends(file)

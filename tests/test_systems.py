@@ -5,22 +5,13 @@ import pickle
 import numpy as np
 import pytest
 import systems
+from refusals import refusal
 from scipy.integrate import solve_ivp
-from systems import (
-    BALL,
-    BELT,
-    BILINEAR,
-    IMPACT_OSCILLATOR,
-    RELAY,
-    VAN_DER_POL,
-    belt_period,
-    ends,
-    events_of,
-    mass,
-    names_of,
-)
+from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, VAN_DER_POL, ends, events_of, mass, names_of
 
 import vibrojax as vj
+
+cos = vj.elementary.cos
 
 
 def test_accumulating_bounces_end_at_rest():
@@ -46,7 +37,7 @@ def test_resting_ball_leaves_table_that_falls_faster():
 def test_period_of_stick_slip_on_belt_from_two_starts():
     sweep = {"scene": BELT, "grid": {"belt_speed": [0.05, 0.2]}, "starts": [[0.0, 0.0], [1.5, 0.0]]}
     ds = vj.run_sweep(sweep | {"run": {"error": 1e-6}}, progress=False)
-    periods = [belt_period(speed, 0.2) for speed in ds.belt_speed.values]
+    periods = [systems.belt_period(speed, 0.2) for speed in ds.belt_speed.values]
     assert ds.period.values == pytest.approx(np.transpose([periods] * 2), rel=1e-8)
     assert names_of(ds) == ["periodic"] * 4
 
@@ -68,14 +59,8 @@ def test_relay_slides_by_filippov_convention():
 
 
 def test_section_can_lie_at_value_and_regimes_can_be_renamed():
-    ticking = vj.System(
-        "ticking",
-        states={"x": "m", "v": "m s-1"},
-        parameters={"mu": 0.5},
-        field=lambda t, y, p: {"x": y["v"], "v": p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]},
-        section=("x", 0.5),
-        regimes={"periodic": "ticking"},
-    )
+    rate = lambda t, y, p: p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]  # noqa: E731
+    ticking = mass(rate, parameters={"mu": 0.5}, section=("x", 0.5), regimes={"periodic": "ticking"})
     motion = vj.simulate(ticking, start=[0.1, 0.0], progress=False)
     assert names_of(motion) == ["ticking"]
     assert float(motion.period) == pytest.approx(6.3807, abs=2e-3)  # van der Pol, mu = 0.5
@@ -86,9 +71,7 @@ def test_section_can_lie_at_value_and_regimes_can_be_renamed():
 
 def test_other_processes_import_system_from_its_module():
     assert pickle.loads(pickle.dumps(systems.BALL)) is systems.BALL
-    alone = vj.System(
-        "alone", states={"x": "m"}, parameters={"k": 1.0}, field=lambda t, y, p: {"x": -y["x"]}, section="x"
-    )
+    alone = systems.one_state(lambda t, y, p: -y["x"], parameters={"k": 1.0}, section="x")
     with pytest.raises(vj.InputError, match="top level of a file"):
         pickle.dumps(alone)
 
@@ -99,42 +82,26 @@ GOOD = {
     "field": lambda t, y, p: {"x": y["v"], "v": -p["k"] * y["x"]},
     "section": "x",
 }
+RUB = {"normal": lambda t, y, p: 1.0, "law": 0.2, "acts_on": "v"}
+FORCED = lambda t, y, p: {"x": y["v"], "v": cos(t)}  # noqa: E731
 MISTAKES = {
     "is not a state": {"section": "z"},
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
     "field asks for 'c'": {"field": lambda t, y, p: {"x": y["v"], "v": -p["c"]}},
     "not jnp, np or math": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
-    "field depends on t": {"field": lambda t, y, p: {"x": y["v"], "v": cos(t)}},
-    "does not repeat after the period": {
-        "field": lambda t, y, p: {"x": y["v"], "v": cos(t)},
-        "section": None,
-        "period": 6.0,
-    },
+    "field depends on t": {"field": FORCED},
+    "does not repeat after the period": {"field": FORCED, "section": None, "period": 6.0},
     "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
     "decides by a value": {"field": lambda t, y, p: {"x": y["v"], "v": -max(y["x"], 0.0)}},
-    'did you mean "coulomb"?': {
-        "events": [
-            vj.Friction("belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law="coulumb", acts_on="v")
-        ]
-    },
+    'did you mean "coulomb"?': {"events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": "coulumb"})]},
     "event belt: mass is 0; it must be above zero": {
-        "events": [
-            vj.Friction(
-                "belt", relative=lambda t, y, p: y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v", mass=0.0
-            )
-        ]
+        "events": [vj.Friction("belt", lambda t, y, p: y["v"], mass=0.0, **RUB)]
     },
     "cannot see the discrete state heating": {"modes": {"heating": 1}},
     "put a vj.Switch on it": {"field": lambda t, y, p: {"x": y["v"], "v": -(y["v"] > 0) * 1.0}},
-    "the velocity on which it acts": {
-        "events": [
-            vj.Friction("belt", relative=lambda t, y, p: y["x"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")
-        ]
-    },
-    "so that friction would drive it; change the sign": {
-        "events": [vj.Friction("belt", lambda t, y, p: 0.5 - y["v"], normal=lambda t, y, p: 1.0, law=0.2, acts_on="v")]
-    },
+    "the velocity on which it acts": {"events": [vj.Friction("belt", lambda t, y, p: y["x"], **RUB)]},
+    "would drive it; change the sign": {"events": [vj.Friction("belt", lambda t, y, p: 0.5 - y["v"], **RUB)]},
     "floor of a value that depends on states": {
         "field": lambda t, y, p: {"x": y["v"], "v": vj.elementary.floor(y["x"])}
     },
@@ -149,16 +116,10 @@ MISTAKES = {
 }
 
 
-def cos(x):
-    return vj.elementary.cos(x)
-
-
 @pytest.mark.parametrize("message", MISTAKES)
 def test_mistake_in_system_gives_one_line(message):
-    with pytest.raises(vj.InputError) as caught:
-        vj.System("wrong", **(GOOD | MISTAKES[message]))
-    text = str(caught.value)
-    assert text.startswith("system wrong: ") and message in text and "\n" not in text and len(text) < 220
+    text = refusal(vj.System, "wrong", **(GOOD | MISTAKES[message]))
+    assert text.startswith("system wrong: ") and message in text and len(text) < 220
 
 
 def test_start_beyond_stop_fails_with_reason():
@@ -171,14 +132,8 @@ def test_start_beyond_stop_fails_with_reason():
 
 
 def test_mass_that_is_not_positive_fails_with_reason():
-    block = vj.System(
-        "block",
-        states={"x": "m", "v": "m s-1"},
-        parameters={"m": 1.0},
-        field=lambda t, y, p: {"x": y["v"], "v": (vj.elementary.cos(t) - y["x"]) / p["m"]},
-        period=2 * np.pi,
-        events=[vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: 1.0, 0.3, "v", mass=lambda p: p["m"])],
-    )
+    base = vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: 1.0, 0.3, "v", mass=lambda p: p["m"])
+    block = mass(lambda t, y, p: (cos(t) - y["x"]) / p["m"], base, parameters={"m": 1.0}, period=2 * np.pi)
     ds = vj.run_sweep({"scene": block, "grid": {"m": [1.0, -1.0]}, "run": {"settle": 1.0}}, progress=False)
     assert names_of(ds, "reason") == ["none", "mass-not-above-zero"] and names_of(ds)[1] == "failed"
     with pytest.raises(vj.InputError, match=r"the mass of base is -1; it must be above 0"):
@@ -226,13 +181,8 @@ def test_ball_thrown_up_slightly_stays_above_table(a):
 
 def test_amplitudes_do_not_depend_on_steps():
     """x' = cos(w t) - x swings by 1/sqrt(1 + w²). No state is the rate of x, so no step ends at its turns."""
-    lag = vj.System(
-        "lag",
-        states={"x": "1"},
-        parameters={"w": 3.0},
-        field=lambda t, y, p: {"x": vj.elementary.cos(p["w"] * t) - y["x"]},
-        period=lambda p: 2 * np.pi / p["w"],
-    )
+    period = lambda p: 2 * np.pi / p["w"]  # noqa: E731
+    lag = systems.one_state(lambda t, y, p: cos(p["w"] * t) - y["x"], parameters={"w": 3.0}, period=period)
     ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0, 3.0]}, "run": {"keep_returns": 4}}, progress=False)
     exact = 1 / np.sqrt(1 + ds.w.values**2)
     assert ds.x_amplitude.values.ravel() == pytest.approx(exact, rel=1e-6)
@@ -249,16 +199,12 @@ def test_parameters_have_units_of_pint(tmp_path):
 
 
 def test_default_times_follow_slowest_oscillation():
+    slow, fast = lambda y, p: -(p["slow"] ** 2) * y["x"], lambda y, p: -(p["fast"] ** 2) * y["z"]
     pair = vj.System(
         "pair",
         states={"x": "m", "v": "m s-1", "z": "m", "w": "m s-1"},
         parameters={"slow": 1.0, "fast": 10.0},
-        field=lambda t, y, p: {
-            "x": y["v"],
-            "v": -p["slow"] * p["slow"] * y["x"],
-            "z": y["w"],
-            "w": -p["fast"] * p["fast"] * y["z"],
-        },
+        field=lambda t, y, p: {"x": y["v"], "v": slow(y, p), "z": y["w"], "w": fast(y, p)},
         section="x",
     )
     assert pair.usual_times == pytest.approx((200 * np.pi, 80 * np.pi), rel=0.02)
@@ -293,19 +239,10 @@ def test_soft_contacts_are_impacts_with_approach_speed():
 
 def test_normal_force_can_depend_on_switches():
     """A block slides onto ground where the normal force doubles. The work of friction equals its kinetic energy."""
-    block = mass(
-        lambda t, y, p, s: 0.0,
-        vj.Switch("far", lambda t, y, p: y["x"] - p["edge"]),
-        vj.Friction(
-            "slip",
-            relative=lambda t, y, p: y["v"],
-            normal=lambda t, y, p, s: p["N"] * (1.5 + 0.5 * s["far"]),
-            law=0.3,
-            acts_on="v",
-        ),
-        parameters={"N": 1.0, "edge": 0.5},
-        section="v",
-    )
+    far = vj.Switch("far", lambda t, y, p: y["x"] - p["edge"])
+    normal = lambda t, y, p, s: p["N"] * (1.5 + 0.5 * s["far"])  # noqa: E731
+    slip = vj.Friction("slip", relative=lambda t, y, p: y["v"], normal=normal, law=0.3, acts_on="v")
+    block = mass(lambda t, y, p, s: 0.0, far, slip, parameters={"N": 1.0, "edge": 0.5}, section="v")
     assert ends(block, [0.0, 1.0], 5.0) == pytest.approx([0.5 + (0.5 - 0.3 * 0.5) / 0.6, 0.0], abs=1e-9)
 
 

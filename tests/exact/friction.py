@@ -38,14 +38,8 @@ def hyperbolic_quadratic(w, p):
     return (p.mu0 - p.mu1) / (1 + getattr(p, "lambda") * w) + p.mu1 + p.alpha * w**2
 
 
-LAWS = {
-    "stribeck": stribeck,
-    "coulomb": coulomb,
-    "popp-exponential": popp_exponential,
-    "popp-arctan": popp_arctan,
-    "hyperbolic": hyperbolic,
-    "hyperbolic-quadratic": hyperbolic_quadratic,
-}
+LAWS = {"stribeck": stribeck, "coulomb": coulomb, "popp-exponential": popp_exponential, "popp-arctan": popp_arctan}
+LAWS |= {"hyperbolic": hyperbolic, "hyperbolic-quadratic": hyperbolic_quadratic}
 
 
 def force(w, J, p):

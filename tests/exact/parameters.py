@@ -3,44 +3,15 @@
 import math
 from types import SimpleNamespace
 
-DRILL = {
-    "m1": 250.0,
-    "beta": 0.4,
-    "gamma": 0.75,
-    "k1": 156250.0,
-    "c2": 250.0,
-    "mu": 0.4,
-    "g": 9.81,
-    "v_cr": 3.0,  # R4
-    "v": 1.5,
-    "friction": "stribeck",
-    "popp_c1": -0.02,
-    "popp_c2": -0.25,
-    "a1": 0.14,
-    "a2": 1.14,
-    "b1": 2.0,
-    "b2": 100.0,
-    "mu0": 0.4,
-    "mu1": 0.1,
-    "delta_f": 1.0,
-    "lambda": 99.4,
-    "alpha": 0.7,
-}
+DRILL = {"m1": 250.0, "beta": 0.4, "gamma": 0.75, "k1": 156250.0, "c2": 250.0, "g": 9.81, "v": 1.5}
+DRILL |= {"friction": "stribeck", "mu": 0.4, "v_cr": 3.0}  # R4
+DRILL |= {"popp_c1": -0.02, "popp_c2": -0.25, "a1": 0.14, "a2": 1.14, "b1": 2.0, "b2": 100.0}
+DRILL |= {"mu0": 0.4, "mu1": 0.1, "delta_f": 1.0, "lambda": 99.4, "alpha": 0.7}
 CONTACT = {"k0": 50e6, "c0": 0.1, "delta": -0.005}  # R3
 SANDSTONE = {"threshold": 61.9e3, "k3": 100.68e6}
-PENETRATION = {
-    "m1": 250.0,
-    "force": 200e3,
-    "frequency": 20.0,
-    "pulse_width": 4e-3,  # R10
-    "pulse_shape": "rectangular",
-    "threshold": 150e3,
-    "k3": 300e6,
-    "zeta": 1.1,
-    "sweep_start": None,
-    "sweep_rate": None,
-    "bias": None,
-}
+PENETRATION = {"m1": 250.0, "force": 200e3, "frequency": 20.0, "threshold": 150e3, "k3": 300e6, "zeta": 1.1}
+PENETRATION |= {"pulse_width": 4e-3, "pulse_shape": "rectangular"}  # R10
+PENETRATION |= {"sweep_start": None, "sweep_rate": None, "bias": None}
 DEFAULTS = {
     "rotary": DRILL,
     "vibro-impact": DRILL | CONTACT,

@@ -7,17 +7,8 @@ import math
 
 import exact
 
-USUAL = {
-    "beta": 0.4,
-    "gamma": 0.75,
-    "v": 1.5,
-    "delta": 0.005,
-    "k0": 50e6,
-    "c0": 0.1,
-    "c2": 250.0,
-    "mu": 0.4,
-    "start": "stuck",
-}
+USUAL = {"beta": 0.4, "gamma": 0.75, "v": 1.5, "delta": 0.005, "k0": 50e6, "c0": 0.1, "c2": 250.0, "mu": 0.4}
+USUAL |= {"start": "stuck"}
 GRAZED = 0.06496005202147603
 """The largest displacement of the usual striker in the first 1.2 s with nothing in its way [m]."""
 
@@ -44,20 +35,10 @@ ROCK = {
     "damping of the rock": [{"zeta": zeta} for zeta in (0.01, 10.0)],
 }
 
-MEASURES = {  # scale [SI] added to the value itself: a deviation that is small against it does not count
-    "bit_amplitude": 1e-6,
-    "striker_amplitude": 1e-6,
-    "peak_impact_force": 1.0,
-    "period": 1e-3,
-    "impact_velocity": 1e-4,
-    "mean_impact_force": 1.0,
-    "stick_fraction": 1e-2,
-    "reverse_fraction": 1e-2,
-    "drive_power": 1.0,
-    "rate_of_penetration": 1e-6,
-    "mean_force": 1.0,
-    "deepest_gap": 1e-6,
-}
+MEASURES = dict.fromkeys(("bit_amplitude", "striker_amplitude", "deepest_gap", "rate_of_penetration"), 1e-6)
+MEASURES |= dict.fromkeys(("peak_impact_force", "mean_impact_force", "mean_force", "drive_power"), 1.0)
+MEASURES |= {"period": 1e-3, "impact_velocity": 1e-4, "stick_fraction": 1e-2, "reverse_fraction": 1e-2}
+"""Scale [SI] of each measure, which is added to the value: a deviation that is small against it does not count."""
 
 
 SAME_PLACE = {"float64": 3e-10, "float32": 1e-7}

@@ -117,14 +117,9 @@ class Kills:
         seen |= finished
 
     def _start(self, *arguments: str) -> subprocess.Popen:
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        return subprocess.Popen(
-            [sys.executable, *arguments],
-            cwd=self.folder,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-        )
+        about = {"cwd": self.folder, "env": os.environ | {"PYTHONPATH": str(ROOT)}}
+        files = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+        return subprocess.Popen([sys.executable, *arguments], **about, **files)
 
     def _compare(self) -> None:
         """Check that the dataset is the same and that no other file remains."""

@@ -1,6 +1,6 @@
-"""Tests of real faults of the machine: a full disk, a folder that cannot be written, Ctrl-C, a clock that jumps.
+"""Tests of real faults of the machine: a full disk, a folder that cannot be written, Ctrl-C, kills, a clock that jumps.
 
-Each ends in one line and a status, and keeps what was computed.
+Each ends in one line and a status, and keeps what was computed. `python tests/hard/kills.py` kills a sweep 200 times.
 """
 
 import errno
@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from commands import end_of, start, wait_for
+from kills import Kills
 
 from vibrojax.cli import main
 from vibrojax.io.dataset import open_dataset
@@ -207,3 +208,11 @@ def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
         assert took < 2 * (time.monotonic() - began)
     assert run_sweep(folder) == (0, "")
     assert_same(folder / "map.nc", whole)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("backend", ["alone", "pool"])
+def test_kills(tmp_path, backend):
+    kills = Kills(tmp_path)
+    assert kills.run_once(1, backend) >= 1
+    assert kills.counts["chunks lost"] == kills.counts["chunks computed twice"] == 0

@@ -1,5 +1,7 @@
-"""Test the arithmetic of steps: polynomials against numpy.polynomial, known roots, a cosine and sine, a maximum."""
+"""Test the arithmetic of steps: Taylor series, roots of polynomials, cosine and sine, extremes, and the clock."""
 
+import operator
+from fractions import Fraction
 from math import factorial
 
 import jax
@@ -9,23 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
+from numpy.polynomial.polynomial import polyval
 
 from vibrojax.measures.motion import cos_sin
-from vibrojax.stepping.polynomial import extremes, highest, integral, root, slope, value
-
-RANDOM = np.random.default_rng(11)
-
-
-@pytest.mark.parametrize("order", [1, 2, 5, 10])
-def test_value_slope_and_integral(order):
-    """Compare with sum c_k tau^k, sum k c_k tau^(k-1) and sum c_k tau^(k+1)/(k+1) in each lane."""
-    c = RANDOM.uniform(-1, 1, (order + 1, 6))
-    tau = np.array([0.0, 0.1, 0.5, 0.9, 1.0, 1.3])
-    lanes = [jnp.asarray(row) for row in c]
-    for lane, t in enumerate(tau):
-        exact = Polynomial(c[:, lane])
-        for function, expected in ((value, exact), (slope, exact.deriv()), (integral, exact.integ())):
-            np.testing.assert_allclose(function(lanes, jnp.asarray(tau))[lane], expected(t), rtol=1e-12, atol=1e-14)
+from vibrojax.physics import elementary
+from vibrojax.stepping import Clock
+from vibrojax.stepping.polynomial import extremes, root
+from vibrojax.stepping.series import known
 
 
 @jax.jit
@@ -81,15 +73,6 @@ def test_cos_sin():
     np.testing.assert_allclose(sin, np.sin(angle), rtol=0, atol=1e-15)
 
 
-def test_maximum_within_step():
-    """A wave of 2 rad, the longest stride, reaches 1 at its top. A rise is highest at its end, a fall at its start."""
-    quarter = np.pi / 2
-    wave = [jnp.full(2, np.sin(0.3 + k * quarter) * 2.0**k / factorial(k)) for k in range(18)]
-    np.testing.assert_allclose(highest(wave, jnp.asarray([1.0, 0.4])), [1.0, np.sin(1.1)], rtol=1e-10)
-    fall = [-c for c in wave]
-    np.testing.assert_allclose(highest(fall, jnp.asarray([0.2, 0.4])), -np.sin(0.3), rtol=1e-12)
-
-
 def test_extremes_of_a_wave_on_a_ramp():
     """A wave on a ramp turns twice within a step of 2 rad, at cos(phase + angle) = ramp; its ends may be outside."""
     phase, ramp = map(np.ravel, np.meshgrid(np.linspace(-np.pi, np.pi, 91), np.linspace(0, 1.4, 36)))
@@ -102,3 +85,95 @@ def test_extremes_of_a_wave_on_a_ramp():
     for found, right in ((-low, -below), (high, above)):
         assert np.max(found - right) < 2e-7  # that of the samples in `values`
         assert np.max(right - found) < 2.5e-3 and np.mean(right - found < 1e-8) > 0.98
+
+
+# The clock
+
+STEPS = 3_000_000
+
+
+@jax.jit
+def tick_many_times(clock, dt):
+    """Return `clock` after STEPS steps of `dt` [s], and the plain sum."""
+
+    def tick(_, both):
+        clock, total = both
+        return clock.advanced(dt), total + dt
+
+    return jax.lax.fori_loop(0, STEPS, tick, (clock, clock.high))
+
+
+@pytest.mark.parametrize(("dtype", "bound"), [("float32", 2e-3), ("float64", 1e-11)])
+def test_clock_is_exact_over_three_million_steps(dtype, bound):
+    """Some 3e6 steps make 10^5 cycles, or 4e4 s. The clock gives n dt to half a unit in the last place, while a plain
+    sum drifts by thousands of these units.
+    """
+    zero, dt = jnp.zeros((), dtype), jnp.asarray(0.0127, dtype)
+    clock, plain = tick_many_times(Clock(zero, zero), dt)
+    exact = STEPS * Fraction(float(dt))
+    clock_time = Fraction(float(clock.high)) + Fraction(float(clock.low))
+    assert abs(float(clock_time - exact)) < bound
+    assert abs(float(Fraction(float(plain)) - exact)) > 1000 * bound
+    assert float(clock.until(jnp.asarray(float(exact), dtype))) == pytest.approx(0.0, abs=2 * bound)
+
+
+# Truncated Taylor series, against Cauchy's integral
+
+ORDER = 9
+POWERS = np.arange(ORDER + 1)[:, None]
+RANDOM = np.random.default_rng(7)
+# Two lanes, with coefficients that fall so fast that every function below is analytic inside Cauchy's circle.
+A, B = RANDOM.uniform(-1, 1, (2, ORDER + 1, 2)) * 0.3**POWERS
+A[0], B[0] = (0.7, -0.4), (1.9, -2.3)
+LANE = np.array([1.3, -0.6])
+CIRCLE = 0.5 * np.exp(2j * np.pi * np.arange(256) / 256)
+
+
+def cauchy(values):
+    """Return c_k = 1/(2 pi i) integral f(z) z^-(k+1) dz over the circle |z| = 0.5, from the values [256, lanes] of f.
+
+    The trapezoidal rule converges exponentially on a circle.
+    """
+    return (np.fft.fft(values, axis=0)[: ORDER + 1] / 256 / 0.5**POWERS).real
+
+
+def check(function, of_numbers=None):
+    """Compare a function of two series with the same function, or `of_numbers`, on the circle."""
+    result = function(*(known([jnp.asarray(c) for c in coefficients]) for coefficients in (A, B)))
+    values = (of_numbers or function)(*(polyval(CIRCLE, coefficients).T for coefficients in (A, B)))
+    actual = np.array(result.arrays(ORDER, jnp.zeros(2)))
+    np.testing.assert_allclose(actual, cauchy(values), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("operate", [operator.add, operator.sub, operator.mul, operator.truediv])
+def test_arithmetic(operate):
+    """Of two series, and of a series and a number, or a number per lane, in either order."""
+    check(operate)
+    for number in (2.5, LANE):
+        check(lambda a, b, number=number: operate(a, number))
+        check(lambda a, b, number=number: operate(number, b))
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda a, b: -a,
+        lambda a, b: a * a * a * b,
+        lambda a, b: (1 - a / 3 + a * a * a / 81) * (2 * b + 1) - 1 / (1 + a * a),
+    ],
+)
+def test_expressions(function):
+    check(function)
+
+
+NAMES = ("exp", "log", "sqrt", "sin", "cos", "tanh", "arctan")
+FUNCTIONS = {name: (getattr(elementary, name), getattr(np, name)) for name in NAMES} | {
+    f"power {x}": (lambda a, x=x: elementary.power(a, x), lambda a, x=x: a**x) for x in (2.5, -1 / 3, 2.0)
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions(name):
+    """Of a product, which is from 0.9 to 1.4 at the center of the circle."""
+    of_series, of_numbers = FUNCTIONS[name]
+    check(lambda a, b: of_series(a * b), lambda a, b: of_numbers(a * b))

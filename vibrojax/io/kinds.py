@@ -88,7 +88,7 @@ OF_FAMILIES: dict[str, Variable] = {
     "special_value": Variable(
         "of the parameter",
         "value of the parameter at the special point",
-        notes={"comment": "an extrapolated graze has the multipliers and impacts of the last orbit before it"},
+        notes={"comment": "at an extrapolated graze, multipliers and impacts are those of the last computed orbit"},
     ),
     "special_branch": Variable("1", "number of the branch on which the special point lies", np.int32),
     "special_note": Variable("", "remarks on the special point", np.str_),
@@ -100,7 +100,9 @@ OF_FAMILIES: dict[str, Variable] = {
 OF_BORDERS: dict[str, Variable] = {
     "curve": Variable("1", "number of the curve on which the vertex lies", np.int32),
     "kind": Variable("1", "reason why the region of the stable single impact ends at the curve", np.int8, BORDER_KINDS),
-    "region_area": Variable("1", "share of the plane with a stable single impact"),
+    "region_area": Variable(
+        "1", "share of the parameter plane with a stable single impact, reached from region_start (any: reached or not)"
+    ),
     "continued": Variable(
         "1", "1 if the curve was computed by continuation, 0 if it joins points between grid points", np.int8
     ),
@@ -114,7 +116,7 @@ OF_CURVES: dict[str, Variable] = {
     "point_curve": Variable("1", "number of the curve on which the point lies", np.int32),
     "kind": Variable("1", "kind of the special points that the curve consists of", np.int8, SPECIAL_KINDS),
     "special": Variable(
-        "1", "index of the special point of the family at which the curve begins; -1: at no special point", np.int32
+        "1", "index of the special point of the family at which the curve begins (-1: another point)", np.int32
     ),
     "curve_note": Variable("", "point and reason of each end of the curve", np.str_),
     "codim2_kind": Variable("", "name of the point of codimension two", np.str_),
@@ -127,7 +129,7 @@ OF_ATTRACTORS: dict[str, Variable] = {
     "share": Variable("1", "share of the starts that lead to the attractor"),
     "share_stderr": Variable("1", "binomial standard error of share"),
     "unassigned": Variable("1", "number of starts without a known attractor", np.int32),
-    "lane_attractor": Variable("1", "number of the attractor in which the lane ends; -1: unknown", np.int32),
+    "lane_attractor": Variable("1", "number of the attractor in which the lane ends (-1: unknown)", np.int32),
     "named_attractor": Variable("1", "number of the attractor that the named start reaches; -1: unknown", np.int32),
     "named_regime": Variable("1", "regime of the motion from the named start", np.int8, REGIMES),
 }

@@ -78,9 +78,9 @@ def read_table(path: Path) -> tuple[int, list[str], Iterator[tuple[int, list[str
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell holds a number other than NaN."""
+    """Return whether a cell holds a number other than NaN, written without the underscores of Python."""
     try:
-        return float(cell) == float(cell)
+        return "_" not in cell and float(cell) == float(cell)
     except ValueError:
         return False
 

@@ -15,8 +15,8 @@ class Variable:
     - `dtype`: data type of the stored values.
     - `flags`: the meaning of each integer value, from `first_flag` (0 by default) upwards.
     - `along`: name of a dimension that the variable has in addition to the dimensions of the sweep; "" for none.
-    - `dims`: all dimensions of the variable, if these are the same in every dataset; then pass only the values of the
-      variable to `Analysis.dataset`.
+    - `dims`: all dimensions of the variable, if they are the same in every dataset. For a variable with `dims`, pass
+      only the values to `Analysis.dataset`.
     - `notes`: further attributes by name, such as a definition.
 
     **Example:**
@@ -118,9 +118,7 @@ def orbit_name(state: str) -> str:
 
 VARIABLES: dict[str, Variable] = {
     "regime": Variable("1", "regime of the striker's motion", np.int8, REGIMES),
-    "check_regime": Variable(
-        "1", "regime in a second simulation with longer steps, which checks the first", np.int8, REGIMES
-    ),
+    "check_regime": Variable("1", "regime in the check run, a second simulation with longer steps", np.int8, REGIMES),
     "hidden_motion": Variable(
         "1",
         "whether another start at the same point leads to a different motion of the same regime",

@@ -261,7 +261,7 @@ def _from_csv(path: Path, names: Names) -> Points:
                 column.append(intern(cell.strip()))
                 continue
             try:
-                column.append(float(cell))
+                column.append(float(cell.replace("_", "?")))  # Python would read 1_2 as 12
             except ValueError:
                 problem = f"{shown(cell.strip())} is not a number" if cell.strip() else "empty"
                 raise cell_place(name, -1).error(f"{problem}; write one, like 0.4 or 50e6") from None

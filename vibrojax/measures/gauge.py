@@ -28,7 +28,7 @@ class Moment(NamedTuple):
 
 
 class Return(NamedTuple):
-    """A section crossing; the mask `here` marks the lanes that cross, and every array has shape (lanes,).
+    """A section crossing in the lanes that the mask `here` selects; every array has shape (lanes,).
 
     - `number`: index of the crossing in the observation, from 0.
     - `interval` [s]: time since the previous crossing.
@@ -47,9 +47,9 @@ class Return(NamedTuple):
 
 
 class Whole(NamedTuple):
-    """All complete return intervals of an observation; each lies between successive section crossings.
+    """All complete return intervals, between successive section crossings, of an observation.
 
-    - `returns`: number of complete return intervals; `time` [s]: their total duration; `sums`: the sums over these
+    - `returns`: number of complete return intervals. `time` [s]: total duration of the intervals. `sums`: sums over the
       intervals.
     - `cycles`: number of return intervals per period of the motion, 0 if the motion is not periodic.
     """
@@ -65,7 +65,7 @@ K = TypeVar("K", bound=Scene[Any])
 
 
 class Gauge(ABC, Generic[K]):
-    """A group of measured quantities that are accumulated over the steps of a lane; nothing is stored per step.
+    """A group of measured quantities that are accumulated over the steps of a lane, without storing the steps.
 
     A gauge must define the method `read`. The method `increments` returns what a step adds to the sums of a return
     interval, which lasts from one section crossing to the next. The method `close` may replace the sums at the end of a
@@ -101,7 +101,7 @@ class Gauge(ABC, Generic[K]):
         return {}
 
     def close(self, sums: Sums, interval: Lanes) -> Sums:
-        """Return new values, by name, for sums of a return interval that has ended; `interval`: its duration [s]."""
+        """Return new values, by name, for the sums of a complete return interval of duration `interval` [s]."""
         return {}
 
     def begin(self, scene: K, c: Any, lane: Lane) -> Any:

@@ -43,9 +43,9 @@ def damping_ratio(mass: Real, k0: Real, c0: Real) -> Any:
 def restitution(xi: Real) -> Any:
     """Return the ratio of the speeds after and before an impact on a Kelvin-Voigt stop.
 
-    The mass leaves the stop when the contact force is zero. The ratio is R = exp(-2 xi acos(xi)/sqrt(1 - xi²)). This is
-    eq. 5.8 of Batako's thesis, with its square root corrected to sqrt(1 - xi²). For xi > 1, acosh(xi)/sqrt(xi² - 1)
-    replaces acos(xi)/sqrt(1 - xi²).
+    The mass leaves the stop when the contact force is zero. The ratio is R = exp(-2 xi acos(xi)/sqrt(1 - xi²)). The
+    formula is eq. 5.8 of Batako's thesis, with the square root corrected to sqrt(1 - xi²). For xi > 1,
+    acosh(xi)/sqrt(xi² - 1) replaces acos(xi)/sqrt(1 - xi²).
 
     **Arguments:** `xi` >= 0, any shape.
     """

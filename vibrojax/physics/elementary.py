@@ -89,9 +89,9 @@ setattr(greater, "__name__", "maximum")  # noqa: B010 (a type checker does not k
 def maximum(x: Any, y: Any) -> Any:
     """Return the greater of two values.
 
-    In a `vj.System`, a step ends where the smaller argument becomes the greater one. Outside of a `vj.System`, pass a
-    Taylor series as the first argument; the result for the whole step is then the argument that is greater at the start
-    of the step.
+    In a `vj.System`, a step ends where the smaller argument becomes the greater one. In a scene, the result for the
+    whole step is the argument that is greater at the start of the step. If only one argument is a Taylor series, pass
+    it first.
     """
     active = BRANCHES.get()
     return greater(x, y) if active is None else active.maximum(x, y)
@@ -105,8 +105,8 @@ def minimum(x: Any, y: Any) -> Any:
 def absolute(x: Any) -> Any:
     """Return the absolute value of x.
 
-    In a `vj.System`, a step ends where x changes its sign. Outside of a `vj.System`, the absolute value of a Taylor
-    series x uses the sign of x at the start of the step.
+    In a `vj.System`, a step ends where x changes its sign. In a scene, the absolute value of a Taylor series x uses the
+    sign of x at the start of the step.
     """
     active = BRANCHES.get()
     return magnitude(x) if active is None else active.absolute(x)

@@ -58,14 +58,14 @@ class Parameter:
 def positive(
     name: str, default: float, unit: str, long_name: str, symbol: str, usual: tuple[float, float] | None = None
 ) -> Parameter:
-    """Return a parameter that must be above zero."""
+    """Return a `Parameter` with values above zero."""
     return Parameter(name, default, unit, long_name, symbol, lowest=0.0, open_below=True, usual=usual)
 
 
 def not_negative(
     name: str, default: float, unit: str, long_name: str, symbol: str, usual: tuple[float, float] | None = None
 ) -> Parameter:
-    """Return a parameter that must be zero or above."""
+    """Return a `Parameter` with values of zero or above."""
     return Parameter(name, default, unit, long_name, symbol, lowest=0.0, usual=usual)
 
 

@@ -55,8 +55,8 @@ class Marker(NamedTuple):
     """A state, mostly a velocity, that serves as an event function: a step ends where the state crosses zero.
 
     Where a step ends at a zero of a marker, the state is set to exactly zero. The field `velocity` holds the name of
-    the state. A state that is not a velocity, such as the phase of a forcing, must have values of similar magnitude. No
-    guard may have the same zeros as a marker.
+    the state. A marker that is not a velocity, such as the phase of a forcing, must have values of the magnitude of
+    `speed_scale`. No guard may have the same zeros as a marker.
 
     **Example:**
 
@@ -129,7 +129,7 @@ class Section:
     velocity by 2 pi a/T, where T is the time between crossings.
 
     To make a periodically forced system autonomous, add the phase of the forcing as a state. Add an event that reduces
-    the phase by one full period; this event must not be at phase zero.
+    the phase by one full period, at a phase other than zero.
 
     If `typical(constants)` returns typical magnitudes of the positions by name, periodic motions are detected as in a
     `vj.System`.

@@ -46,15 +46,15 @@ class Scene(ABC, Generic[C]):
     - `start_states`: the states that a vector of initial conditions specifies, in order; all other states begin at
       zero.
     - `measures`: the gauges (groups of measured quantities) of the scene, as objects or names.
-    - `choices`: for each option that users specify by name, a registry of values by name. If an option is a field of
-      the dataclass, as `friction` is, the chosen value becomes the value of the field. If not, as with `rock`, the
-      value is an object whose attributes, such as `threshold` and `k3`, become parameters of the scene. A subclass
-      extends the registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
-    - `choice_meanings`: for each option that sets several parameters, the `long_name` of its variable in datasets.
+    - `choices`: for each option that users specify by name, a registry of values by name. For an option that is a field
+      of the dataclass, such as `friction`, the chosen value becomes the value of the field. For any other option, such
+      as `rock`, the attributes of the chosen object, such as `threshold` and `k3`, become parameters of the scene. A
+      subclass extends the registry of its base class: `choices = Base.choices | {"shape": {"flat": FLAT}}`.
+    - `choice_meanings`: for each option that sets several parameters, the `long_name` of the option in datasets.
     - `autonomous`: True if the equations do not depend on time.
     - `clocks`: states and guards that depend on time alone, so that no orbit can graze them.
     - `usual_times`: default settling time and default duration of the observation [s].
-    - `ends_at_once`: True if a mode may begin with a negative guard, so that it ends immediately.
+    - `ends_at_once`: True if a mode may begin with a negative guard, and then ends immediately.
     - `fault_reasons`: flags of the dataset variable `reason` that state why a motion cannot continue.
     - `drifting`: states that grow without bound and do not affect other states; the return map leaves these states out.
     - `redundant`: states that the method `on_surfaces` computes from the other states.

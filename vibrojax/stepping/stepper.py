@@ -72,7 +72,7 @@ def lane_at(scene: Scene[Any], constants: Any, state: tuple[Array, ...]) -> Lane
 
 
 class Accuracy(NamedTuple):
-    """Settings that determine the length of steps, as numbers or arrays; changing them needs no recompilation.
+    """Settings that determine the length of steps, as numbers or arrays that can change without recompilation.
 
     - `tolerance`: for the located stepper, the relative magnitude of the last Taylor terms above which a step is
       shortened.
@@ -165,7 +165,7 @@ class Stepper(ABC):
 
     @abstractmethod
     def accuracy(self, request: AccuracyRequest, scene: Scene[Any]) -> Accuracy:
-        """Return the settings that reach the requested error in a scene; values that the user chose are kept."""
+        """Return the settings that reach the requested error in a scene, with the values that the user chose."""
 
     def least_error(self, request: AccuracyRequest) -> float:
         """Return the least error tolerance that lanes can meet with the other settings in `request`; 0 if unknown."""

@@ -196,8 +196,8 @@ class Analysis(Settings):
 
         **Arguments:** `variables`: (dimensions, values) by name, which receive the units and meanings in the class
         attribute `variables`; a variable that is not described there needs (dimensions, values, attributes). `coords`:
-        coordinates in the same form. `of`: a sweep, whose scene and parameters are recorded in the dataset.
-        `attributes`: further dataset attributes, such as `title`.
+        coordinates, in the same form as `variables`. `of`: a sweep, whose scene and parameters are recorded in the
+        dataset. `attributes`: further dataset attributes, such as `title`.
         """
         title, command = str(attributes.pop("title", self.kind)), self.command or self.kind
         if of is None:

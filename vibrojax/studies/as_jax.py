@@ -303,7 +303,7 @@ def as_jax(
 
     The first call of the returned function finds the orbit on which the motion settles at the *first point*: `at`, or
     the point of the call. Every further call continues the first orbit along the straight line from the first point to
-    the point of the call, so its result does not depend on other calls. The gradients equal the derivatives by
+    the point of the call, so results do not depend on other calls. The gradients equal the derivatives by
     [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features
     without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second
     derivatives are not available.
@@ -329,8 +329,7 @@ def as_jax(
     `margin`, `grazing_margin`, and the boolean `valid`. `margin` is the natural logarithm of the largest modulus of the
     multipliers, and is negative if the orbit is stable. `grazing_margin` is the distance of the orbit from a change in
     the order of events. Features and their gradients are NaN if the motion from `start` is not periodic at or near the
-    first point, or if the orbit does not have the feature; for example, an orbit without impacts has no impact
-    velocity.
+    first point, or if the orbit lacks the feature, as an orbit without impacts lacks the impact velocity.
 
     **Raises:** `InputError` for an unknown name or a wrong value.
 

@@ -94,7 +94,7 @@ def attractors(
 
         att = vj.attractors(ds)
 
-    Two periodic lanes of a grid point have the same motion if their orbits are equal; two irregular lanes have the same
+    Two periodic lanes of a grid point have the same motion if their orbits are equal. Two irregular lanes have the same
     motion if their statistics over a longer observation agree, within the resolution that the dataset's attribute
     `attractors` states.
 
@@ -116,14 +116,14 @@ def attractors(
       bound. `regime` is the most frequent regime of the attractor's lanes. `cycles` is the period of the attractor's
       orbit in returns (0 without an orbit). Where the attractor does not exist, `share`, `regime` and `cycles` are 0.
       `period`, `impacts` and `impact_velocity` are medians over the lanes; for irregular lanes, the values come from a
-      longer observation. `impact_power`, `stick_slip_index` and `specific_energy` are medians from the sweep's
-      observation. `orbit_x1` and so on are one point of the orbit on the section.
+      longer observation. `impact_power`, `stick_slip_index` and `specific_energy` are medians over the lanes during the
+      sweep's `observe` seconds. `orbit_x1` and so on are one point of the orbit on the section.
     - Variable over the grid, `unassigned`: number of initial conditions without an attractor, because the lane failed,
       was undecided, had not settled or did not converge, or because no orbit was found.
     - Variable over the sweep's dimensions, `lane_attractor`: number of the lane's attractor, -1 if unassigned.
-    - Variables over the grid and `named_start`, if the initial conditions are a sample of a box or a plane of states:
-      `named_attractor` and `named_regime` are the attractor and the regime of the motions from the scene's initial
-      conditions `drive` and `stuck`. These two motions do not count in `share`.
+    - Variables over the grid and `named_start`: `named_attractor` and `named_regime` are the attractor and the regime
+      of the motions from `drive` and `stuck`. These variables exist if the other initial conditions sample a box or a
+      plane of states. `share` excludes the motions from `drive` and `stuck`.
 
     **Raises:** `InputError` unless the source is a sweep over a grid with several initial conditions, and its scene has
     a section.

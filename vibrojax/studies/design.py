@@ -349,9 +349,9 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
     **Returns:** a dataset along `candidate`, in which the best candidate comes first:
 
     - For each candidate: the varied parameters. `objective` is the maximised variable at the nominal point, from the
-      worst start. `objective_worst` is its worst value over the tolerance box; robust designs are ranked by
-      `objective_worst`. Each variable in `subject` is given at the nominal point, and `NAME_worst` is its worst value.
-      `feasible` is 1 if all samples meet all requirements.
+      worst start. `objective_worst`, by which robust designs are ranked, is the worst objective over the tolerance box.
+      For each variable in `subject`, NAME is the nominal value, and `NAME_worst` the worst. `feasible` is 1 if all
+      samples meet all requirements.
     - `gradient` along `parameter`: derivatives of the objective.
     - Variables along `front`, if the design has the entry `front`: `front_limit` (the limit that is varied),
       `front_objective` (the best value within this limit) and the varied parameters.

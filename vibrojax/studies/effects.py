@@ -243,25 +243,28 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
 
     **Arguments:**
 
-    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. A study has the
-      entries `scene`; `of`, a list of variables, which may include "share_single_impact"; and `[vary]`, a table with
-      NAME = [low, high] for up to twelve parameters. A study may also have `[parameters]`, `starts` and `[run]` as in a
-      sweep, `samples` (number of base samples, a power of two; default 256) and `seed` (default 0). A study of D
-      parameters needs (2 D + 2) lanes per base sample and start.
+    - `source`: path of a TOML file, the name of a bundled study, or a dict with the same structure. For D parameters, a
+      study needs (2 D + 2) lanes per base sample and start. A study has these entries:
+
+      - `scene`, and optionally `[parameters]`, `starts` and `[run]`: as in a sweep.
+      - `of`: list of variables, which may include "share_single_impact".
+      - `[vary]`: table with NAME = [low, high] for up to twelve parameters.
+      - `samples`: number of base samples, a power of two; default 256. `seed`: default 0.
 
     **Returns:** a dataset with the dimensions `of` (the variable), `parameter`, and `other` (the second parameter of a
     pair).
 
-    - `first_order`: share of the variance that a parameter causes alone; `total_order`: share that it causes with all
-      its interactions; `second_order`: share that the interaction of two parameters causes. Names with the ending
-      `_conf` are half-widths of 95 % confidence intervals.
-    - `effect`: mean of the variable at the high level of a parameter minus its mean at the low level. `interaction`:
+    - `first_order`: share of the variance that a parameter causes alone. `total_order`: share that a parameter causes
+      alone and in interactions. `second_order`: share that the interaction of two parameters causes. Names with the
+      ending `_conf` are half-widths of 95 % confidence intervals.
+    - `effect`: mean of the variable at the high level of a parameter minus the mean at the low level. `interaction`:
       half the difference between the effects of a parameter at the high and at the low level of another parameter.
     - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of
       lanes with a single impact; `regime_share`: share of lanes in each regime.
     - `set_to_zero`: number of lanes without impacts that count as 0. `averaged`: number of irregular lanes that count
-      with their mean values. `left_out`, `corners_left_out`: numbers of base samples and corners that are left out. The
-      attribute `rules` states the conditions. `sobol_reason`: reason why the dataset lacks Sobol indices.
+      with mean values. `left_out`, `corners_left_out`: numbers of base samples and corners that are left out. The
+      attribute `rules` states which lanes are left out or count as 0. `sobol_reason`: reason why the dataset lacks
+      Sobol indices.
 
     **Raises:** `InputError` if the study is invalid or SALib is not installed.
 

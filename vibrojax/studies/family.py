@@ -95,18 +95,18 @@ def follow(
       (number of the branch), and `special_note`.
 
     At a *grazing* point, an impact or another event appears or vanishes; at a *stick* point, a stick phase does. If the
-    event at a grazing point is not an impact, `special_note` names the discrete states that it affects. Multipliers at
-    a special point are computed on the side from which the point was reached, unless orbits exist only on the other
-    side. Where multipliers grow without limit towards a graze, the value of the parameter and the state are
-    extrapolated to it; multipliers and `impacts` are those of the last orbit before it.
+    event at a grazing point is not an impact, `special_note` names the affected discrete states. Multipliers at a
+    special point are computed on the side from which the point was reached, unless orbits exist only on the other side.
+    Where multipliers grow without limit towards a graze, the parameter and the state are extrapolated to the graze, but
+    multipliers and `impacts` are those of the last orbit before the graze.
 
     The mirror image of an orbit counts as another orbit.
 
-    A family of equilibria has `cycles` 0 and `period` NaN; the states of the equilibrium replace the states at the
-    section. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and `eigenvalue_im`
-    [1/s] along `eigenvalue`, by decreasing real part. Special points of equilibria are *fold*, *branch-point*, *hopf*
-    and *end*. If an equilibrium reaches a surface on which the vector field changes, `special_kind` is *grazing* or the
-    name of the switch.
+    A family of equilibria has `cycles` 0 and `period` NaN; its variables `orbit_NAME` are the states of the
+    equilibrium. The eigenvalues of the vector field's Jacobian replace the multipliers: `eigenvalue_re` and
+    `eigenvalue_im` [1/s] along `eigenvalue`, by decreasing real part. Special points of equilibria are *fold*,
+    *branch-point*, *hopf* and *end*. If an equilibrium reaches a surface on which the vector field changes,
+    `special_kind` is *grazing* or the name of the switch.
 
     **Raises:** `InputError` for invalid names or values, or if the motion does not settle on a periodic orbit.
 

@@ -162,11 +162,10 @@ def smallest_push(
 
     The working cycle is the periodic orbit on which the motion settles. A push is a sudden change of one state
     variable, in either direction, when the cycle crosses the section (the bit overtakes the drive). After a push, the
-    motion settles for `settle` seconds and is observed for `observe` seconds. A *leaving push* is a push after which
-    the motion does not return to the working cycle.
+    motion settles for `settle` seconds and is observed for `observe` seconds.
 
-    Repeated scans search for the smallest leaving push. The bracket between this push and the greatest returning push
-    below it is then narrowed.
+    Repeated scans, and then a refinement of the bracket, locate the smallest push after which the motion does not
+    return to the working cycle.
 
     **Arguments:**
 

@@ -76,7 +76,7 @@ SCHEMA = {
     ),
     "evidence_against": Variable(
         "1",
-        "AIC minus that of the best form; a form above 2 is rejected (rig log: AIC = 2 n ln(cv_error), limit 5.4)",
+        "AIC minus the least AIC; a difference above 2 rejects the form (rig log: 5.4, with AIC = 2 n ln(cv_error))",
         along=_FORM,
     ),
     "degrees_of_freedom": Variable("1", "number of residuals minus number of coefficients", np.int32, along=_FORM),

@@ -137,15 +137,15 @@ def sensitivity(
         vj.sensitivity("vibro-impact", of=["period"], by=["beta"], start="stuck", delta=0.005)  # at one point
 
     The implicit function theorem gives the derivative of the state s at the section, a fixed point of the return map P:
-    ds/dp = (1 - P_s)^-1 P_p. The features are measured over one period of the orbit. Over this period, the tangent
-    (ds/dp, dp) is propagated through all events. Unstable orbits have derivatives, too.
+    ds/dp = (1 - P_s)^-1 P_p. The features are measured over one period of the orbit, together with their derivatives
+    along ds/dp, which are propagated through all events. Unstable orbits have derivatives, too.
 
     **Arguments:**
 
     - `source`: the dataset of a sweep, or a sweep as in `run_sweep`. If the dataset has no orbits, its sweep is run
       again.
-    - Instead of a sweep, `source` can be a scene or its name. For a scene, the function differentiates the orbit on
-      which the motion settles for the given `start` and `parameters` (SI, as in `simulate`).
+    - If `source` is a scene or its name, the function differentiates the orbit on which the motion settles for the
+      given `start` and `parameters` (SI, as in `simulate`).
     - `by`: parameters of the scene, by default all.
     - `of`: variables to differentiate at a single point, by default all variables that vary smoothly. `settle`,
       `observe` [s]: as in a sweep.
@@ -157,9 +157,9 @@ def sensitivity(
       dimension `multiplier`), `log_multiplier` (the natural logarithm of the largest modulus), and, in scenes with
       rock, `rate_of_penetration`.
     - `d_VARIABLE` along `parameter`: derivative of each variable, in the unit of the variable per unit of the parameter
-      (`parameter_unit`). A derivative is NaN where its variable is not defined; for example, a motion without impacts
-      has no impact velocity. For a single point, `elasticity_VARIABLE` is the relative change of the variable per
-      relative change of the parameter.
+      (`parameter_unit`). A derivative is NaN where the variable is undefined, as is the impact velocity of a motion
+      without impacts. For a single point, `elasticity_VARIABLE` is the relative change of the variable per relative
+      change of the parameter.
     - `valid` (0 or 1) and `reason`. *no-orbit*: the lane is not periodic, or no orbit was found. *neutral-orbit*: a
       multiplier is 1, so that the orbit does not depend smoothly on the parameters. *near-grazing*, *near-stick*: an
       impact, or a stick phase, is about to appear or vanish; derivatives hold only very close to the point.

@@ -275,8 +275,8 @@ def tolerance(
       over the samples, and the indices `NAME_least_sample` and `NAME_most_sample` of the samples with the extremes (-1
       if there is none).
     - `regime_share`: share of samples in each regime; `regime_kept`: share of samples in the regime of the nominal
-      point; `irregular_share`: share of irregular, undecided or failed samples. Samples that the search adds do not
-      count in shares of regimes.
+      point; `irregular_share`: share of irregular, undecided or failed samples. Shares leave out *refined* samples,
+      which the search for extremes adds.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
 

@@ -80,7 +80,7 @@ class Switch:
 
     - `function`: a function `function(t, y, p)` that is positive on one side of the surface and negative on the other.
     - `impact`: True for a soft contact, which begins where the function becomes positive. The beginning of a soft
-      contact counts as an impact, and its impact velocity is the rate of change of the function.
+      contact counts as an impact, with the rate of change of `function` as impact velocity.
 
     The function `field` of the system takes a fourth argument `s`; `s[name]` is the side of the switch, 1 or -1. If the
     fields on both sides point towards the surface, the motion slides along the surface by Filippov's convex combination

@@ -27,12 +27,14 @@ class Kink(NamedTuple):
     - `name`: its name among the guards; `place`: the function, in words.
     - `whole`: True for `floor`, whose mode is its value; the mode of other kinks is the sign of their difference.
     - `ends`: True for the normal force of a friction that must not be negative: the kink ends the motion.
+    - `sided`: True if its difference depends on the sides of switches.
     """
 
     name: str
     place: str
     whole: bool
     ends: bool
+    sided: bool
 
 
 class Calls(elementary.Branches):

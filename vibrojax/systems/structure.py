@@ -67,13 +67,16 @@ class Structure(Probe):
         y = {key: Dual(x, Plain.of(rng.uniform(0.5, 1.5, len(x))), 1) for key, x in self._y.items()}
         plain, numbers = Function(function, {}), {}
         kinks = plain.found(t, y, self._p, *more)
+        others = [self._sides | {name: -side} for name, side in self._sides.items()] if kinks and more else []
+        turned = [plain.found(t, y, self._p, sides, *more[1:]) for sides in others]
         for number, (kind, _) in kinks.items():
             if kind == "floor" and not self._same_floor(plain, number, t, y, more):
                 raise self._refuse(f"{place} takes the floor of a value that depends on states; write a vj.Impact")
             friction = next((event for event in self._events if place == f"event {event.name}: normal"), None)
             ends = kind == "positive" and isinstance(friction, Friction) and not friction.lift_off
             numbers[number] = len(self.kinks)
-            self.kinks.append(Kink(f"kink_{len(self.kinks) + 1}", place, kind == "floor", ends))
+            sided = any(not equal(kinks[number][1], other[number][1]) for other in turned if number in other)
+            self.kinks.append(Kink(f"kink_{len(self.kinks) + 1}", place, kind == "floor", ends, sided))
         return Function(function, numbers)
 
     def _same_floor(self, function: Function, number: int, t: Dual, y: Mapping[str, Any], more: list[Any]) -> bool:

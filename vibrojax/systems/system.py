@@ -57,11 +57,10 @@ class System(SystemScales):
       times 0, T, ...
     - `section`: for a system without forcing, a state name, a pair (state name, level), or a function
       `section(t, y, p)`. A motion crosses the section where the state or function rises through the level, by default
-      zero. A system
-      without `period` and `section` can be simulated but not measured.
+      zero. A system with neither `period` nor `section` can be simulated but not measured.
     - `events`: any of `vj.Impact`, `vj.Switch` and `vj.Friction`.
-    - `modes`: a dict with the initial value of each discrete state. The resets of events change discrete states, and
-      functions read a discrete state as `s[name]`.
+    - `modes`: a dict with the initial value of each discrete state. The `reset` of an event can change a discrete
+      state, which the functions of the system read as `s[name]`.
     - `rate`: function of `p` that returns the fastest rate of change [1/s]; by default, the spectral radius of the
       field's Jacobian at the initial state.
     - `regimes`: the system's own names of regimes, such as `{"periodic": "rocking"}`.

@@ -97,12 +97,12 @@ def free_modes(flow: Flow, c: SystemConstants, t: Any, y: States, zero: Any) -> 
     """Return the modes of a motion on no surface: 0 for stops, else the side; `zero`: zeros (lanes,)."""
     modes = [zero if is_stop(event) else zero + 1.0 for event in flow.events]
     modes += [zero if kink.whole else zero + 2.0 for kink in flow.kinks]
-    for _ in range(2 if flow.kinks else 0):  # some kinks depend on the formulas that others use
+    for _ in range(3 if flow.kinks else 1):  # some kinks depend on the formulas that others use, and on sides
         modes[len(flow.events) :] = [kink + zero for kink in first_branches(flow, c, tuple(modes), t, y)]
-    for index, event in enumerate(flow.events):
-        if not is_stop(event):
-            side = 2.0 if isinstance(event, Impact) else 1.0
-            modes[index] = jnp.where(flow.surface(c, tuple(modes), index, t, y) + zero < 0, -side, side)
+        for index, event in enumerate(flow.events):
+            if not is_stop(event):
+                side = 2.0 if isinstance(event, Impact) else 1.0
+                modes[index] = jnp.where(flow.surface(c, tuple(modes), index, t, y) + zero < 0, -side, side)
     return tuple(modes)
 
 
@@ -213,6 +213,13 @@ def after_events(
     if not flow.events:
         return After(tuple(new), y, approach)
     modes, opened = _modes_after(flow, c, mode, new, t, before, y, hit, jumped, slow)
+    sided = [index for index, kink in enumerate(flow.kinks, len(flow.events)) if kink.sided]
+    if sided:  # the event may have changed the side of a switch
+        turned = reduce(jnp.logical_or, [hit[index] for index, _ in flow.of(Switch)], jumped)
+        branches = (*modes[: len(flow.events)], *first_branches(flow, c, modes, t, y))
+        for place in sided:
+            new[place] = jnp.where(turned, branches[place], new[place])
+        modes, opened = _modes_after(flow, c, mode, new, t, before, y, hit, jumped, slow)
     return After(modes, onto_surfaces(flow, c, modes, t, y, opened), approach)
 
 

@@ -1,0 +1,200 @@
+"""Test friction, contact and linear modes (eqs. 2.13 to 2.17, 5.6 to 5.18) against closed forms and plain numpy."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from exact.friction import LAWS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import hyp2f1
+
+from vibrojax.physics.contact import contact_time, force, restitution
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.physics.modes import empirical_frequency, linearised, natural_frequencies
+from vibrojax.scenes.rotary import Rotary
+
+SPEEDS = np.array([1e-6, 1e-3, 0.02, 0.3, 1.5, 3.0, 4.2])
+
+# Two sets for each law: the defaults of section 3, and distinct numbers that cannot be confused with each other.
+PARAMETERS = {
+    "coulomb": ({"mu": 0.4}, {"mu": 0.23}),
+    "popp-exponential": ({"popp_c1": -0.02, "popp_c2": -0.25}, {"popp_c1": -0.3, "popp_c2": -0.7}),
+    "popp-arctan": ({"a1": 0.14, "a2": 1.14, "b1": 2.0, "b2": 100.0}, {"a1": 0.2, "a2": 0.6, "b1": 0.9, "b2": 7.0}),
+    "hyperbolic": ({"mu0": 0.4, "delta_f": 1.0}, {"mu0": 0.31, "delta_f": 2.3}),
+    "hyperbolic-quadratic": (
+        {"mu0": 0.4, "mu1": 0.1, "lambda": 99.4, "alpha": 0.7},
+        {"mu0": 0.5, "mu1": 0.2, "lambda": 3.0, "alpha": 0.05},
+    ),
+    "stribeck": ({"mu": 0.4, "v_cr": 3.0}, {"mu": 0.27, "v_cr": 1.9}),
+}
+CASES = [pytest.param(name, p, id=f"{name}-{i}") for name, both in PARAMETERS.items() for i, p in enumerate(both)]
+
+# mu(0+) and its one-sided slope there.
+AT_REST = {
+    "coulomb": lambda p: (p["mu"], 0.0),
+    "popp-exponential": lambda p: (0.33, 0.165 * p["popp_c2"]),  # exp(c1/|u|) and its derivatives -> 0
+    "popp-arctan": lambda p: (0.0, p["a1"] * (1 + p["a2"]) * p["b2"]),
+    "hyperbolic": lambda p: (p["mu0"], -p["mu0"] * p["delta_f"]),
+    "hyperbolic-quadratic": lambda p: (p["mu0"], -(p["mu0"] - p["mu1"]) * p["lambda"]),
+    "stribeck": lambda p: (p["mu"], -p["mu"] / p["v_cr"]),
+}
+
+
+def mu(name, u, p):
+    """Return the coefficient of the exact reference."""
+    return LAWS[name](u, SimpleNamespace(**p))
+
+
+def test_laws_and_defaults_of_the_source():
+    equations = {f"eq. {number}" for number in (2.13, 2.14, 2.15, 2.16, 2.17, 5.9)}
+    assert {law.reference for law in FRICTION_LAWS.values()} == equations
+    defaults = {name: {key: q.default for key, q in law.parameters.items()} for name, law in FRICTION_LAWS.items()}
+    assert defaults == {name: both[0] for name, both in PARAMETERS.items()}
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_only_eq_5_9_has_constant_friction_under_impact(name, p):
+    """Section 3: F = sgn(u) mu(u) (m1 g + J), but 5.9 uses the constant mu of eq. 5.12 for J."""
+    expected = p["mu"] + 0 * SPEEDS if name == "stribeck" else mu(name, SPEEDS, p)
+    values = [FRICTION_LAWS[name].on_impact(jnp.asarray(u), p) for u in SPEEDS]
+    np.testing.assert_allclose(values, expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+@pytest.mark.parametrize("rest", [0.0, 1e-300])
+def test_limit_at_rest(name, p, rest):
+    """mu(0+) and d mu/d|u| at 0+ are finite for every law."""
+    value, slope = jax.value_and_grad(lambda u: jnp.asarray(FRICTION_LAWS[name].on_weight(u, p)))(rest)
+    np.testing.assert_allclose([value, slope], AT_REST[name](p), rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize(("name", "p"), CASES)
+def test_values_and_slopes(name, p):
+    """Compare slopes with derivatives of the reference by imaginary steps, which are exact to rounding."""
+    law, h = FRICTION_LAWS[name], 1e-30j
+    both = jax.value_and_grad(lambda u, p: jnp.asarray(law.on_weight(u, p)), argnums=(0, 1))
+    for u in map(float, SPEEDS):
+        value, (along_speed, along_p) = both(u, p)
+        assert value == pytest.approx(float(mu(name, u, p)), rel=1e-14)
+        expected = {key: mu(name, u, p | {key: x + h}).imag / h.imag for key, x in p.items()}
+        np.testing.assert_allclose(along_speed, mu(name, u + h, p).imag / h.imag, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose([along_p[key] for key in p], [*expected.values()], rtol=1e-12, atol=1e-14)
+
+
+# The contact of eq. 5.18, and its closed forms 5.6 to 5.8
+
+MASS, K0 = 100.0, 50e6
+XIS = [0.0, 0.1, 0.5, 0.9, 0.999, 0.9995, 1.0, 1.0005, 1.001, 2.0, 5.0]
+P = (50e6, 2e4)
+
+
+def ratio(xi):
+    """Return acos(xi)/sqrt(1 - xi²) = 2F1(1, 1; 3/2; (1 - xi)/2), which is regular at critical damping."""
+    return hyp2f1(1, 1, 1.5, (1 - np.asarray(xi)) / 2)
+
+
+def ratio_slope(xi):
+    """Return its derivative, -1/3 2F1(2, 2; 5/2; (1 - xi)/2)."""
+    return -hyp2f1(2, 2, 2.5, (1 - np.asarray(xi)) / 2) / 3
+
+
+@pytest.mark.parametrize("xi", XIS)
+def test_restitution_and_contact_time(xi):
+    """R = exp(-2 xi acos(xi)/sqrt(1 - xi²)), w_d T = 2 acos(xi), with acosh and xi² - 1 for xi > 1 (5.6 to 5.8)."""
+    np.testing.assert_allclose(restitution(xi), np.exp(-2 * xi * ratio(xi)), rtol=1e-12)
+    w0 = np.sqrt(K0 / MASS)
+    np.testing.assert_allclose(contact_time(MASS, K0, 2 * xi * w0 * MASS), 2 * ratio(xi) / w0, rtol=1e-12)
+
+
+SLOPE = jax.grad(restitution)
+JITTED = [jax.jit(jax.vmap(function)) for function in (restitution, SLOPE, jax.grad(SLOPE))]
+
+
+@pytest.mark.parametrize("around", [1.0, 1 - 1e-3, 1 + 1e-3])
+def test_smooth_through_critical_damping(around):
+    """Values, slopes and curvatures agree with the closed form at xi = 1 and at both ends of the series about it."""
+    xi = around + np.linspace(-2e-4, 2e-4, 41)
+    expected = np.exp(-2 * xi * ratio(xi))
+    values, slopes, curvatures = (function(xi) for function in JITTED)
+    np.testing.assert_allclose(values, expected, rtol=1e-12)
+    slope = -2 * (ratio(xi) + xi * ratio_slope(xi)) * expected
+    np.testing.assert_allclose(slopes, slope, rtol=1e-8)
+    np.testing.assert_allclose(curvatures[1:-1], np.gradient(slope, xi)[1:-1], rtol=1e-5)
+
+
+@settings(deadline=None)
+@given(st.floats(-0.01, 0.01, allow_subnormal=False), st.floats(-20, 20, allow_subnormal=False))
+def test_force_is_one_sided(compression, rate):
+    """J = k0 d + c0 d' where d >= 0 and J is positive, else 0 (5.18)."""
+    value = float(force(jnp.asarray(compression), jnp.asarray(rate), *P))
+    inside = 50e6 * compression + 2e4 * rate
+    expected = inside if compression >= 0 and inside > 0 else 0.0
+    np.testing.assert_allclose(value, expected, rtol=1e-13, atol=1e-9)
+    assert value >= 0
+
+
+# Linear modes, eqs. 5.15 to 5.17
+
+
+def drill(w1, beta, gamma, m1=250.0, c2=250.0):
+    """Return parameters with k1 = m1 w1²."""
+    return {"m1": m1, "k1": m1 * w1**2, "beta": beta, "gamma": gamma, "c2": c2}
+
+
+def reference_frequencies(p):
+    """Return sqrt of the eigenvalues of M^-1 K, K = [[k1 + k2, -k2], [-k2, k2]], M = diag(m1, beta m1)."""
+    m2 = p["beta"] * p["m1"]
+    k2 = m2 * (p["gamma"] * np.sqrt(p["k1"] / p["m1"])) ** 2
+    stiffness = np.array([[p["k1"] + k2, -k2], [-k2, k2]])
+    return np.sqrt(np.sort(np.linalg.eigvals(np.diag([1 / p["m1"], 1 / m2]) @ stiffness)))
+
+
+@pytest.mark.parametrize("beta", [0.01, 0.4, 1.2])
+@pytest.mark.parametrize("gamma", [0.1, 0.75, 1.0, 1.3, 9.0])
+def test_natural_frequencies_are_eigenvalues(beta, gamma):
+    """Test eq. 5.16."""
+    p = drill(33.0, beta, gamma, m1=300.0)
+    np.testing.assert_allclose(natural_frequencies(p), reference_frequencies(p), rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("w1", "beta", "gamma", "eq_5_16", "eq_5_17"),
+    [
+        (25, 0.3, 0.9, 30.8, 30.0),
+        (25, 0.3, 0.7, 27.8, 28.2),  # the source prints 28.0 for eq. 5.17, which gives 28.17
+        (66, 0.4, 0.75, 77.5, 77.1),  # R7: the source prints 79.6 and 78.5
+    ],
+)
+def test_table_5_3(w1, beta, gamma, eq_5_16, eq_5_17):
+    """Eqs. 5.16 and 5.17, w² = (k1 + k2)/m1 + k2/(4 m2), agree with the source's values, cut or rounded to 0.1."""
+    p = drill(float(w1), beta, gamma)
+    assert natural_frequencies(p)[1] == pytest.approx(eq_5_16, abs=0.1)
+    assert empirical_frequency(p) == pytest.approx(eq_5_17, abs=0.1)
+    # k2/m1 = beta gamma² w1², k2/m2 = gamma² w1²
+    assert empirical_frequency(p) == pytest.approx(w1 * np.sqrt(1 + beta * gamma**2 + gamma**2 / 4), rel=1e-13)
+
+
+def rotary_at_steady_sliding(w1, v, beta, gamma):
+    """Return the rotary scene, its parameters and its equilibrium u = v, x1 = x2 = -F(v)/k1."""
+    scene = Rotary()
+    p = {name: jnp.asarray(parameter.default) for name, parameter in scene.parameters().items()}
+    p |= {"k1": p["m1"] * w1**2, "v": jnp.asarray(v), "beta": jnp.asarray(beta), "gamma": jnp.asarray(gamma)}
+    friction = 0.4 * 250 * 9.81 * (1 - v / 3 + v**3 / 81)  # 5.9 with v_cr = 3
+    rest = -friction / p["k1"]
+    return scene, p, (rest, jnp.asarray(0.0), rest, jnp.asarray(0.0))
+
+
+def slope_5_9(v):
+    """Return dF/du = mu m1 g (-1/v_cr + u²/v_cr³) at u = v."""
+    return 0.4 * 250 * 9.81 * (-1 / 3 + v**2 / 27)
+
+
+@pytest.mark.parametrize(("w1", "v", "beta", "gamma"), [(25.0, 1.5, 0.3, 0.9), (50.0, 0.8, 0.4, 0.75)])
+def test_linearised_is_jacobian_of_field(w1, v, beta, gamma):
+    scene, p, rest = rotary_at_steady_sliding(w1, v, beta, gamma)
+    field = lambda state: jnp.stack(scene.field(scene.constants(p), (jnp.asarray(1.0),), tuple(state)))  # noqa: E731
+    np.testing.assert_allclose(field(jnp.stack(rest)), 0, atol=1e-12)
+    np.testing.assert_allclose(linearised(p, slope_5_9(v)), jax.jacfwd(field)(jnp.stack(rest)), rtol=1e-12, atol=1e-12)

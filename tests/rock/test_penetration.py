@@ -1,0 +1,302 @@
+"""Test the bit on rock under pulses: reference cases, closed forms, error estimates, orbits, and summaries."""
+
+import json
+from pathlib import Path
+
+import exact
+import numpy as np
+import pytest
+
+import vibrojax as vj
+from vibrojax.cli import main
+from vibrojax.errors import InputError
+from vibrojax.studies.summary import summarise
+
+CASES = json.loads((Path(__file__).parents[1] / "data" / "penetration_cases.json").read_text())
+NAMES = {"A": "force", "f": "frequency", "w": "pulse_width", "D": "threshold", "k3": "k3", "zeta": "zeta"}
+SHAPES = ("rectangular", "half-sine")
+SHORT = {"settle": 2.0, "observe": 1.0}
+"""Run settings. The slowest cases strike 10 times a second, so 20 pulses settle; the reference takes 60."""
+
+
+def cases_of(shape):
+    return [case for case in CASES if case["point"]["shape"] == shape]
+
+
+def run_cases(shape):
+    points = {name: [case["point"][key] for case in cases_of(shape)] for key, name in NAMES.items()}
+    sweep = {"scene": "penetration", "parameters": {"pulse_shape": shape}, "points": points, "run": SHORT}
+    return vj.run_sweep(sweep, progress=False)
+
+
+@pytest.fixture(scope="module")
+def datasets():
+    return {shape: run_cases(shape) for shape in SHAPES}
+
+
+def expected(shape, name):
+    return np.array([case["expected"][name] for case in cases_of(shape)])
+
+
+def test_all_cases_run(datasets):
+    """There are 24 cases. In both shapes some slip and some do not."""
+    assert sum(dataset.sizes["point"] for dataset in datasets.values()) == len(CASES) == 24
+    for shape, dataset in datasets.items():
+        assert not dataset.status.any(), shape
+        assert {slip > 0 for slip in expected(shape, "slip_per_pulse")} == {True, False}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_measures(datasets, shape):
+    """P = A w f for rectangular pulses, times 2/pi for half-sines, eta = P/D, and ROP = s f (R8, in true units)."""
+    ds = datasets[shape]
+    bounds = {"mean_force": (1e-10, 0.0), "relief": (1e-10, 0.0), "rate_of_penetration": (1e-8, 1e-11)}
+    for name, (relative, absolute) in bounds.items():
+        np.testing.assert_allclose(ds[name], expected(shape, name), rtol=relative, atol=absolute, err_msg=name)
+    slip, exact = ds.slip_per_impact.values, expected(shape, "slip_per_pulse")
+    np.testing.assert_allclose(slip, exact, rtol=1e-8, atol=1e-12)
+    assert np.all(slip[exact == 0] == 0)
+    np.testing.assert_allclose(ds.rate_of_penetration, slip * ds.frequency, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_error_estimate_is_upper_bound(datasets, shape):
+    """The estimate bounds the error and stays below the accepted 1e-4."""
+    exact = expected(shape, "rate_of_penetration")
+    rate, estimate = datasets[shape].rate_of_penetration.values, datasets[shape].error_estimate.values
+    assert np.all(estimate < 1e-4)
+    assert np.all(np.abs(rate - exact) <= estimate * exact + 1e-8 * exact + 1e-11)  # the reference is accurate to 1e-9
+
+
+# Motions against closed forms of eqs. 6.1 to 6.3
+
+M1, K3, D = 250.0, 300e6, 150e3
+
+
+def motion(duration, **parameters):
+    settings = {"duration": duration, "sampling": 1e-4, "error": 1e-8, "progress": False}
+    return vj.simulate("penetration", k3=K3, threshold=D, **settings, **parameters)
+
+
+def test_steady_response_to_sine_of_constant_frequency():
+    """For a swept sine of rate 0 about a bias, x3 = B/k3 + Im(A H e^{i omega t}) after the transient."""
+    zeta, bias, force, omega = 0.7, 60e3, 50e3, 2 * np.pi * 45.0
+    sine = {"pulse_shape": "sweep", "sweep_start": 45.0, "sweep_rate": 0.0, "bias": bias, "force": force}
+    late = motion(0.5, zeta=zeta, **sine).sel(time=slice(0.4, None))
+    response = force / (K3 - M1 * omega**2 + 1j * omega * 2 * zeta * np.sqrt(M1 * K3))
+    expected = bias / K3 + (response * np.exp(1j * omega * late.time.values)).imag
+    np.testing.assert_allclose(late.x3, expected, rtol=1e-9)
+
+
+# The error estimate covers settling and the mean over a finite observation
+
+BEATING = {"force": 364187.2, "frequency": 32.95242, "pulse_width": 0.002, "pulse_shape": "half-sine"}
+BEATING |= {"threshold": 202693.9, "k3": 36945190.0, "zeta": 0.0}
+"""Without damping, the bit beats for seconds before a pulse first breaks the rock."""
+
+
+def dataset(times, **parameters):
+    run = {"settle": times, "observe": times}
+    grid = {"frequency": [parameters.pop("frequency", 20.0)]}
+    tables = {"scene": "penetration", "parameters": parameters, "grid": grid, "run": run, "unusual": True}
+    return vj.run_sweep(tables, progress=False)
+
+
+def test_undamped_lane_is_not_certified():
+    """In the first second, no pulse breaks the rock. Later, the rate is 0.05 m/s."""
+    ds = dataset(1.0, **BEATING)
+    assert not float(ds.error_estimate.item()) <= 1.0
+    assert ds.attrs["certified"].count('"within": 0') == 1
+
+
+@pytest.mark.parametrize("force, yields", [(20e3, False), (200e3, True)])
+def test_damped_lane_is_certified(force, yields):
+    """A rate of zero is certified as well if the load stays below the yield force."""
+    ds = dataset(1.0, force=force)
+    assert (float(ds.rate_of_penetration.item()) > 0) == yields
+    assert float(ds.error_estimate.item()) < 1e-6
+
+
+def test_swept_sine_does_not_repeat():
+    """The rate is the mean over the observation; there is no settled motion."""
+    sweep = {"scene": "penetration", "parameters": {"pulse_shape": "sweep"}, "grid": {"bias": [60e3]}}
+    ds = vj.run_sweep(sweep | {"run": {"settle": 0.5, "observe": 0.5}}, progress=False)
+    assert np.isfinite(ds.rate_of_penetration.item()) and np.isnan(ds.error_estimate.item())
+
+
+def test_undamped_rock_under_a_drill():
+    """The drill has settled after 5 s, but the bit still moves on the rock: the rate of penetration is 20 % too low."""
+    point = {"beta": 0.1342515580221152, "gamma": 0.48801906227391845, "v": 1.2542774914090655}
+    point |= {"c2": 141.5584516830171, "delta": -0.00381931693952789}
+    rock = {"zeta": 0.0, "threshold": 54599.84978859603, "k3": 21316867.615476258}
+    estimates = {}
+    for scene, parameters in (("vibro-impact", point), ("drilling", point | rock)):
+        sweep = {"scene": scene, "parameters": parameters, "grid": {"mu": [0.4]}, "starts": ["stuck"]}
+        ds = vj.run_sweep(sweep | {"run": {"settle": 5.0, "observe": 3.0}}, progress=False)
+        assert ds.cycles.item() == 1
+        estimates[scene] = float(ds.error_estimate.item())
+    assert estimates["vibro-impact"] < 1e-4 < 0.2 < estimates["drilling"]
+
+
+# Orbits, stroboscopic at the pulse, against the exact reference and a closed form
+
+FOUND = 0
+COLUMNS = ("force", "frequency", "pulse_width", "zeta", "threshold", "k3")
+POINTS = {
+    "pressed without a pause": (5e3, 200.0, 2e-3, 1.1, 1e7, 300e6),
+    "jumps off": (5e3, 100.0, 2e-3, 0.3, 1e7, 300e6),
+    "yields, and comes to rest": (200e3, 20.0, 4e-3, 1.1, 150e3, 300e6),
+    "yields and jumps off": (300e3, 150.0, 3e-3, 0.2, 150e3, 300e6),
+    "never stops to yield": (207e3, 212.0, 3.7e-3, 0.3925, 85e3, 14.2e6),
+    "two pulses": (24774.87, 169.046, 2.46e-3, 0.03131, 112879.0, 140.4925e6),
+    "two pulses, one of which yields": (98373.2, 54.5255, 8.11e-3, 0.112, 240579.0, 267.12e6),
+}
+
+
+def run_points(**more):
+    columns = dict(zip(COLUMNS, map(list, zip(*POINTS.values(), strict=True)), strict=True))
+    run = {"orbits": True, "settle": 4.0, "observe": 1.0}
+    tables = {"scene": "penetration", "points": columns, "parameters": more, "run": run, "unusual": True}
+    return vj.run_sweep(tables, progress=False)
+
+
+@pytest.fixture(scope="module")
+def orbits():
+    return run_points()
+
+
+@pytest.mark.parametrize("name", POINTS)
+def test_orbits_agree_with_exact_motion(orbits, name):
+    lane, point = orbits.isel(point=list(POINTS).index(name)), dict(zip(COLUMNS, POINTS[name], strict=True))
+    assert lane.orbit_reason == FOUND and lane.orbit_residual < 1e-10 and lane.stable == 1
+    assert lane.orbit_cycles == (2 if "two" in name else 1)
+    begin, time = (
+        np.array([lane.orbit_compression.item(), lane.orbit_v3.item()]),
+        lane.orbit_cycles.item() / point["frequency"],
+    )
+
+    def end(state):
+        return exact.run("penetration", start=state, observe=time, **point).at([time])[0]
+
+    sizes = [max(np.abs(begin).max(), 1e-4) * x for x in (1e-3, 1.0)]  # a bit at rest has none
+    np.testing.assert_allclose(end(begin)[:2], begin, rtol=0, atol=1e-9 * sizes[1])
+    steps = [1e-5 * size * unit for size, unit in zip(sizes, np.eye(2), strict=True)]
+    slopes = [(end(begin + step) - end(begin - step))[:2] / (2 * step.sum()) for step in steps]
+    exact_moduli = np.sort(np.abs(np.linalg.eigvals(np.transpose(slopes))))[::-1]
+    np.testing.assert_allclose(lane.multiplier_abs, exact_moduli, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(lane.rate_of_penetration, end(begin)[2] / time, rtol=1e-8, atol=1e-12)
+    if "yield" in name:
+        assert lane.rate_of_penetration > 0 and lane.multiplier_abs[1] < 1e-14
+
+
+def test_multipliers_under_constant_contact_do_not_depend_on_pulses(orbits):
+    """The flow is linear throughout, so the multipliers are exp(r/frequency), m1 r² + c3 r + k3 = 0, for any pulse."""
+    _, frequency, _, zeta, _, k3 = POINTS["pressed without a pause"]
+    expected = np.sort(np.exp(np.roots([M1, 2 * zeta * np.sqrt(M1 * k3), k3]) / frequency))[::-1]
+    for dataset in (orbits, run_points(pulse_shape="half-sine")):
+        np.testing.assert_allclose(dataset.multiplier_abs[0], expected, rtol=1e-9)
+
+
+def test_variables_of_orbits(orbits):
+    assert "period" not in orbits and "cycles" not in orbits
+    assert {"orbit_compression", "orbit_v3", "grazing_margin"} <= set(orbits.data_vars)
+    assert {"multiplier_abs", "orbit_v3"} <= set(vj.list_variables("penetration").index)
+
+
+def test_margin_is_the_least_compression_whatever_the_rounding_errors():
+    """The next pulse turns the bit before it leaves the rock: its compression is least at the end of a step there."""
+    grid = {"threshold": (204.5e3 * (1 + 1e-4 * np.arange(9))).tolist()}
+    machine = {"k3": 45e6, "force": 500e3, "frequency": 20.0}
+    run = {"orbits": True, "settle": 4.0, "observe": 1.0}
+    ds = vj.run_sweep({"scene": "penetration", "parameters": machine, "grid": grid, "run": run}, progress=False)
+    np.testing.assert_allclose(ds.grazing_margin, ds.orbit_compression * machine["k3"] / ds.threshold, rtol=2e-5)
+
+
+# Which pulses are counted and which are refused
+
+
+def run_pulses(points, **run):
+    return vj.run_sweep({"scene": "penetration", "points": points, "run": run}, progress=False)
+
+
+def test_first_pulse_is_counted():
+    """Observed from t = 0 and rest, the first pulses drill as deep as in the trajectory."""
+    dataset = run_pulses({"frequency": [20.0, 7.0], "force": [3e5, 2e5]}, settle=0.0, observe=0.52)
+    for index, (frequency, force, pulses) in enumerate(((20.0, 3e5, 10), (7.0, 2e5, 3))):
+        motion = vj.simulate(
+            "penetration", frequency=frequency, force=force, duration=0.52, sampling=1e-4, progress=False
+        )
+        depth = np.interp(pulses / frequency, motion.time, motion.x4)
+        np.testing.assert_allclose(dataset.slip_per_impact[index], depth / pulses, rtol=1e-6)
+
+
+def test_rate_is_missing_without_complete_pulse():
+    dataset = run_pulses({"frequency": [0.1, 0.2, 20.0]}, settle=1.0, observe=6.0)
+    assert np.all(np.isnan(dataset.rate_of_penetration[:2]))
+    assert np.isfinite(dataset.rate_of_penetration[2])
+    assert np.all(dataset.status == 0)
+
+
+def test_overlapping_pulses_are_refused():
+    dataset = run_pulses(
+        {"pulse_width": [0.05, 0.06, 0.0499], "frequency": [20.0, 20.0, 20.0]}, settle=0.2, observe=1.0
+    )
+    meanings = dataset.reason.attrs["flag_meanings"].split()
+    why = "pulse-width-not-below-1-over-frequency"
+    assert [meanings[flag] for flag in dataset.reason.values] == [why, why, "none"]
+    np.testing.assert_array_equal(dataset.status, [2, 2, 0])
+    np.testing.assert_array_equal(np.isnan(dataset.rate_of_penetration), [True, True, False])
+    with pytest.raises(InputError, match="pulse width not below 1/frequency"):
+        vj.simulate("penetration", pulse_width=0.05, frequency=20.0, duration=0.1, progress=False)
+
+
+# The rate of penetration in the summary of a sweep, or the reason why there is none
+
+PENETRATION = {"scene": "penetration", "run": {"settle": 0.5, "observe": 0.5}}
+
+BELOW_D = "without a rate, the rock force never reaches the threshold D, at which the rock yields"
+
+
+def rate_part(ds):
+    [rates] = [section for section in summarise(ds) if section.name == "rates"]
+    return rates.lines, dict(rates.facts).get("rates")
+
+
+def test_summary_lists_range_maximum_and_lanes_without_rate(tmp_path, capsys):
+    """Pulses below D do not penetrate. The rate is proportional to the frequency of the pulses."""
+    axes = {"force": [30e3, 300e3], "frequency": [10.0, 20.0]}
+    ds = vj.run_sweep({**PENETRATION, "grid": axes}, progress=False)
+    lines, facts = rate_part(ds)
+    least, most = (ds.rate_of_penetration.sel(force=300e3, frequency=f).item() for f in (10.0, 20.0))
+    assert most == pytest.approx(2 * least, rel=1e-6)
+    assert lines == [
+        f"{least:.4g} to {most:.4g} m/s ({3600 * least:.4g} to {3600 * most:.4g} m/h) in 2 of 4 lanes",
+        "largest at force=300000 frequency=20",
+        BELOW_D,
+        "the largest force of the pulses there is 30 kN, 0.2 of D; the inertia of the bit takes a part of it",
+        "a softer rock (lower threshold) or a larger force can give a rate",
+    ]
+    assert facts == {"lanes": 2, "least": least, "greatest": most, "peak_over_threshold": pytest.approx(0.2)}
+    vj.write_dataset(ds, tmp_path / "pen.nc")
+    assert main(["info", str(tmp_path / "pen.nc"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rates"]["lanes"] == 2
+
+
+# Late blows are as exact as the first, also in float32: no state holds the depth
+
+FAST = {"threshold": 150e3, "k3": 20e9, "pulse_width": 3e-4, "zeta": 0.9}
+"""A thousand blows per second on a very stiff rock, each a few tens of steps long."""
+
+
+def fast_blows(name, settle, observe):
+    run = {"settle": settle, "observe": observe, "precision": name}
+    grid = {"force": [200e3, 300e3], "frequency": [1000.0]}
+    return vj.run_sweep({"scene": "penetration", "parameters": FAST, "grid": grid, "run": run}, progress=False)
+
+
+@pytest.mark.parametrize(("name", "blows", "rtol"), [("float64", 4_000, 1e-12), ("float32", 20_000, 1e-6)])
+def test_thousands_of_blows(name, blows, rtol):
+    """The slip of forty blows after many blows agrees with that of blows 201 to 240."""
+    early, late = fast_blows(name, 0.2, 0.0405), fast_blows(name, blows / 1000, 0.0405)
+    assert np.all(early.slip_per_impact > 1e-7)
+    np.testing.assert_allclose(late.slip_per_impact, early.slip_per_impact, rtol=rtol)
