@@ -156,26 +156,35 @@ def test_branches_pass_and_join_at_a_graze_against_friction():
 
     From the greatest to the least position, the distance from the forced oscillation and from the equilibrium under
     friction obeys the flow of the free oscillation (Den Hartog, Transactions of the ASME 53 (1931), 107). The branch of
-    one impact in two periods joins the motion without impact there.
+    one impact in two periods joins the motion without impact there. Along the frequency, the branch turns back at the
+    graze and leads on without impacts; there are two impacting orbits up to a fold.
     """
-    w, damping, stop, grip = 0.9, 0.1, 0.6, 0.2
+    damping, stop, grip = 0.1, 0.6, 0.2
     events = [
         vj.Impact("wall", gap=lambda t, y, p: stop - y["x"], velocity="v", restitution=0.7),
         vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: grip, 1.0, "v"),
     ]
     shaken = mass(
-        lambda t, y, p: p["a"] * cos(w * t) - damping * y["v"] - y["x"],
+        lambda t, y, p: p["a"] * cos(p["w"] * t) - damping * y["v"] - y["x"],
         *events,
-        parameters={"a": 1.0},
-        period=2 * np.pi / w,
+        parameters={"a": 1.0, "w": 0.9},
+        period=lambda p: 2 * np.pi / p["w"],
     )
-    half = expm(np.array([[0.0, 1.0], [-1.0, -damping]]) * np.pi / w)
-    off = np.linalg.solve(np.eye(2) + half, (half - np.eye(2)) @ [grip, 0.0])
-    graze = np.hypot(stop - off[0], off[1] / w) * abs(complex(1 - w**2, damping * w))
+
+    def graze(w):
+        """Return the amplitude of the force at the graze."""
+        half = expm(np.array([[0.0, 1.0], [-1.0, -damping]]) * np.pi / w)
+        off = np.linalg.solve(np.eye(2) + half, (half - np.eye(2)) @ [grip, 0.0])
+        return np.hypot(stop - off[0], off[1] / w) * abs(complex(1 - w**2, damping * w))
+
     family = vj.follow(shaken, along="a", at=1.0, span=(0.25, 2.0), cycles=2, progress=False)
-    assert special_values(family, "grazing") == pytest.approx([graze], abs=1e-8)
-    assert special_values(family, "grazing", branch=1)[-1] == pytest.approx(graze, abs=1e-8)
+    assert special_values(family, "grazing") == pytest.approx([graze(0.9)], abs=1e-8)
+    assert special_values(family, "grazing", branch=1)[-1] == pytest.approx(graze(0.9), abs=1e-8)
     assert special_values(family, "end").tolist() == [0.25, 2.0] and not len(special_values(family, "end", branch=1))
+    family = vj.follow(shaken, along="w", at=1.5, span=(1.3, 2.1), progress=False)
+    turn = brentq(lambda w: graze(w) - 1.0, 1.3, 2.0, xtol=1e-14)
+    assert special_values(family, "grazing") == pytest.approx([turn], abs=1e-8)
+    assert special_values(family, "end").tolist() == [1.3, 2.1] and len(special_values(family, "fold")) == 1
 
 
 def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():

@@ -161,9 +161,10 @@ def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:
     near, far = brackets.near, brackets.far
     section = ~(np.abs(far.period - near.period) < SAME_TIME * near.period)
     impact = (near.impacts != far.impacts) & ~section
-    # The mode of friction is -1 for reversed motion, and 0 for stick.
+    # The mode of friction is -1 for reversed motion, and 0 for stick. An impact reverses the motion, too.
     slips = list(problem.scene.switch_places.values())
-    stick = (near.mode_changes[:, slips, :2] != far.mode_changes[:, slips, :2]).any(axis=(1, 2)) & ~section
+    reverses, sticks = (near.mode_changes[:, slips] != far.mode_changes[:, slips]).any(axis=1).T[:2]
+    stick = (sticks | (reverses & ~impact)) & ~section
     other = ~stick & ~section & bool(problem.scene.guard_names)
     kinds = {"grazing": impact | other, "stick": stick, "section": section}
     return Brackets.join([brackets.of(mask).as_kind(SPECIAL_KINDS.index(kind)) for kind, mask in kinds.items()])

@@ -79,8 +79,6 @@ class Margin:
         scales = self.scene.typical_guard_values(self.c, step.mode, step.before)
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
-        turns = [step.hits[marker.name] for marker in self.scene.markers]
-        turned = reduce(jnp.logical_or, turns, jnp.zeros_like(armed))
         at_switches, of_section = self._at_switches(lane, step), self._of_section(armed, step, pace)
         switches, others, reach = (
             [rows[0], *at_switches],
@@ -95,7 +93,7 @@ class Margin:
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
             hit = self.considered(guard.name, "hit", _at_hit(f, step, step.hits[guard.name], scale * pace))
-            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, turned))
+            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale))
             if guard.name in before:
                 bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
                 slower = bounces & (hit < last)
@@ -128,7 +126,7 @@ class Margin:
         if section.velocity in self.scene.clocks:  # it always has its typical rate
             return [jnp.where(hit & armed, 1.0, jnp.full_like(pace, jnp.inf))]
         away = [-coefficient for coefficient in velocity] if section.rising else velocity
-        near = jnp.where(armed, _near_miss(away, step, speed, jnp.zeros_like(armed)), jnp.inf)
+        near = jnp.where(armed, _near_miss(away, step, speed), jnp.inf)
         return [_at_hit(velocity, step, hit & armed, speed * pace), near]
 
     def _at_switches(self, lane: Lane, step: Step) -> list[Array]:
@@ -149,14 +147,14 @@ def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> "jax.Array"
     return jnp.where(hit, jnp.abs(slope(f, step.tau)) / (step.h * rate), jnp.inf)
 
 
-def _near_miss(f: Coefficients, step: Step, scale: Array, turned: Flags) -> "jax.Array":
+def _near_miss(f: Coefficients, step: Step, scale: Array) -> "jax.Array":
     """Return the positive minimum of a function within the step, divided by `scale`; infinity without a minimum.
 
-    `turned`: mask of steps that end where a velocity is zero, and hence at a minimum within rounding errors.
+    Steps end where friction reverses, and hence at minima of gaps, where the slope is a rounding error.
     """
     rate = [k * coefficient for k, coefficient in enumerate(f)][1:]
     start, end = rate[0], value(rate, step.tau)
-    turns = (start < 0) & (end > jnp.where(turned, FLAT * start, 0.0))
+    turns = (start < 0) & (end > FLAT * start)
     place = jnp.where(turns, step.tau * start / jnp.where(turns, start - end, 1), 0)
     for _ in range(2):
         better = place - value(rate, place) / slope(rate, place)
