@@ -16,7 +16,7 @@ from vibrojax.errors import InputError
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.io.variables import REGIMES
 from vibrojax.measures.labels import SINGLE_IMPACT
-from vibrojax.pictures.axes import value_text
+from vibrojax.pictures.axes import broken_title, value_text
 from vibrojax.pictures.branches import branches, places, stability, stable_intervals
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.colours import REGIME_COLOURS
@@ -200,6 +200,13 @@ def test_width_that_is_no_length_is_refused():
 
 
 # Maps.
+
+
+def test_titles_break_between_words():
+    """They break between their parts, else between words, and within a word only if it is too long for a line."""
+    title = "start drive: 14 % of the plane"
+    assert broken_title(title, 24) == "start drive:\n14 % of the plane"
+    assert broken_title(title, 12).split() == title.split()
 
 
 def test_maps_show_lanes_named_in_their_titles():

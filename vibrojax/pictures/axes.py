@@ -108,8 +108,8 @@ def _keep_unit(unit: re.Match[str]) -> str:
 
 def broken_title(text: str, letters: int) -> str:
     """Return a title in lines of at most `letters` characters, broken between its parts if they are short enough."""
-    unbroken = text.replace("\n", " ").replace(" ", "\u00a0").replace(",\u00a0", ", ")
-    parts = fill(unbroken, letters).replace("\u00a0", " ")
+    unbroken = re.sub("([,:])\u00a0", r"\1 ", text.replace("\n", " ").replace(" ", "\u00a0"))
+    parts = fill(unbroken, letters, break_long_words=False).replace("\u00a0", " ")
     return parts if max(map(len, parts.splitlines()), default=0) <= letters else fill(text, letters)
 
 

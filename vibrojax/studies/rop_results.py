@@ -265,10 +265,12 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     groups, count = facets(fit, (), _MOST_GROUPS), fit["C"].size // fit.sizes[FORM]
     along = "the rows of the table" if fit.attrs["along"] == POINT else fit.attrs["along"]
     limit = BLOCK_LIMIT if fit["cv_error"].notnull().any() else AIC_LIMIT
+    strong = bool((fit["evidence_against"] > _MOST_EVIDENCE).any())
     notes = [
         f"Data and curves of {len(groups)} of {count} groups" * (len(groups) < count),
         f"Fitted along {along}; bars and bands of one standard error of C",
         f"Evidence above {limit:g} rejects a form",
+        f"Evidence above {_MOST_EVIDENCE:g} is drawn at {_MOST_EVIDENCE:g}" * (longest_axis(fit).name != "" and strong),
         LIMITS_OF_LOGS * is_log(fit),
     ]
     is_cloud = fit["data_use"].sizes["lane"] >= _CLOUD  # many lanes are small and faint, below the curves
