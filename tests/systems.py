@@ -60,6 +60,7 @@ WALLS = mass(
     lambda t, y, p: cos(0.9 * t) - 0.06 * y["v"] - y["x"],
     vj.Impact("right", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
     vj.Impact("left", gap=lambda t, y, p: p["d"] + y["x"], velocity="v", restitution=lambda p: p["r"]),
+    name="walls",
     parameters={"d": 0.32, "r": 0.7},
     period=lambda p: 2 * np.pi / 0.9,
 )
@@ -68,6 +69,7 @@ WALLS = mass(
 BALL = mass(
     lambda t, y, p: -p["g"],
     vj.Impact("table", lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t), velocity="v", restitution=lambda p: p["r"]),
+    name="ball",
     parameters={"g": 9.81, "a": 0.0, "w": 2 * np.pi, "r": 0.5},
     period=lambda p: 2 * np.pi / p["w"],
 )
@@ -77,6 +79,7 @@ _BELT_FRICTION = {"normal": lambda t, y, p: p["N"], "law": lambda p: p["mu_k"], 
 BELT = mass(
     lambda t, y, p: -p["k"] * y["x"],
     vj.Friction("sliding", relative=lambda t, y, p: y["v"] - p["belt_speed"], acts_on="v", **_BELT_FRICTION),
+    name="belt",
     parameters={"k": 1.0, "belt_speed": 0.2, "mu_k": 0.2, "mu_s": 0.4, "N": 1.0},
     section="v",
 )
@@ -95,6 +98,7 @@ def belt_period(v: float, rise: float, w: float = 1.0) -> float:
 SHAKEN = mass(
     lambda t, y, p: cos(p["w"] * t) - 2 * p["zeta"] * y["v"] - y["x"],
     vj.Friction("sliding", lambda t, y, p: y["v"], normal=lambda t, y, p: p["grip"], law=1.0, acts_on="v"),
+    name="shaken",
     parameters={"grip": 0.5, "w": 1.5, "zeta": 0.1},
     period=lambda p: 2 * np.pi / p["w"],
 )
@@ -119,6 +123,7 @@ def friction_stops(w: float, zeta: float) -> float:
 BILINEAR = mass(
     lambda t, y, p, s: -0.5 * ((p["k1"] + p["k2"]) + (p["k2"] - p["k1"]) * s["side"]) * y["x"],
     vj.Switch("side", lambda t, y, p: y["x"]),
+    name="bilinear",
     parameters={"k1": 1.0, "k2": 9.0},
     section="v",
 )
@@ -151,6 +156,7 @@ EXPONENTIAL = vj.FrictionLaw(
 BELT_OSCILLATOR = mass(
     lambda t, y, p: -y["x"] - 0.1 * y["v"],
     vj.Friction("sliding", lambda t, y, p: y["v"] - p["belt"], lambda t, y, p: 1.0, law=EXPONENTIAL, acts_on="v"),
+    name="belt-oscillator",
     parameters={"belt": (1.5, "m s-1")},
     section="v",
 )
