@@ -117,9 +117,8 @@ def _by_executor(
     count = getattr(executor, "_max_workers", None)
     workers = count if isinstance(count, int) and count > 0 else 0  # 0: the executor does not state their number
     # The workers of these share this machine. The cores of any other worker are not known here, and may be one.
-    is_local = (
-        isinstance(executor, (ProcessPoolExecutor, ThreadPoolExecutor)) or type(executor).__module__[:4] == "loky"
-    )
+    local_pools = ProcessPoolExecutor, ThreadPoolExecutor
+    is_local = isinstance(executor, local_pools) or type(executor).__module__.startswith("loky.")
     task, threads = pickled(sweep), max(1, usable_cores() // workers) if workers and is_local else 1
     waiting, failed, running = deque(indices), list[int](), dict[Any, int]()
 
