@@ -1,6 +1,7 @@
 """Tests of the certificate: error estimates bound the distance from settled values, and sensitive lanes are flagged."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from vibrojax.lanes import certificate as module
 from vibrojax.lanes import drift as drift_module
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
-from vibrojax.measures.labels import IRREGULAR, MULTI_IMPACT
+from vibrojax.measures.labels import IRREGULAR, LABELLED_BY, MULTI_IMPACT
 from vibrojax.periodic.settled_on_orbit import EarlyEnds
 from vibrojax.scenes import SCENES
 from vibrojax.stepping import Accuracy
@@ -89,6 +90,19 @@ def test_error_estimate(settled, error, end_early):
     assert np.mean(estimate[soon] <= error) >= (0.93 if error < 1e-4 else 0.95)
     # The others have not settled to that tolerance within 40 s.
     assert np.mean(estimate <= error) >= (0.75 if error < 1e-4 else 0.85)
+
+
+@pytest.mark.parametrize("scene", ["vibro-impact", "drilling"])
+def test_check_run_measures_what_estimates_compare(scene):
+    inputs = (spec := read_sweep({"scene": scene, "grid": {"gamma": [0.6, 0.7, 0.8, 0.9]}})).inputs()
+    engine = (run := LaneRun(inputs, spec.plan)).engine
+    run.compile(inputs)
+    batch = engine.settle([engine.start(inputs, run.accuracy)])[0]
+    full, check = engine.observe([batch, replace(batch, is_check=True)])
+    compared = {"period", "impact_velocity", "bit_amplitude", "striker_amplitude", "returns", "return_x2", *LABELLED_BY}
+    assert set(check) >= compared - {"at_rest"} and len(check) < len(full)
+    for name, values in check.items():
+        np.testing.assert_allclose(values, full[name], rtol=1e-9, atol=1e-12, err_msg=name)
 
 
 def test_slow_lanes_of_the_check_run():

@@ -63,12 +63,14 @@ class Programs:
     - `block`: number of lanes that step together, so that each waits for the slowest.
     - `lanes_per_call`: number of lanes per call, large enough for a small overhead of the call.
     - `compiler`: name of the compiler.
+    - `compiles_check`: whether check runs have a program of their own. XLA would take long to compile it.
     """
 
     def __init__(self, kind: ProgramKey, dtype: np.dtype, platform: str | None = None) -> None:
         self.kind, self._dtype, self._platform = kind, dtype, platform
         self._kernels: dict[Hashable, Kernel] = {}
         self.compiler = "llvm" if platform is None else "xla"
+        self.compiles_check = platform is None and kind.recorder.for_check() != kind.recorder
         self.block = XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
         self.lanes_per_call = XLA_BLOCKS_PER_CALL * XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
         if platform is None:

@@ -25,6 +25,7 @@ from vibrojax.lanes.programs import (
     CARRIED,
     LaneArguments,
     ProgramKey,
+    check_lanes,
     lanes_on_orbit,
     observe_lanes,
     settle_lanes,
@@ -52,6 +53,7 @@ class Batch:
     - `begin`, `duration`: beginning and length of each lane's observation [s].
     - `underway`: state of the lanes, values of their recorder, and number of steps so far; None before initialization.
     - `recent`: number of steps in the last call of a program.
+    - `is_check`: True for a check run.
     """
 
     accuracy: Accuracy
@@ -61,9 +63,10 @@ class Batch:
     duration: PerLane
     underway: LaneState | None
     recent: Int[np.ndarray, " lanes"]
+    is_check: bool = False
 
     def of(self, lanes: Index) -> "Batch":
-        return Batch(self.accuracy, **map_leaves(lambda x: np.take(x, lanes, axis=-1), self._arrays()))
+        return replace(self, **map_leaves(lambda x: np.take(x, lanes, axis=-1), self._arrays()))
 
     def split(self, mask: Mask) -> "tuple[Batch, Batch]":
         """Return the lanes in the mask, and the other lanes."""
@@ -76,10 +79,10 @@ class Batch:
     def joined(self, others: "list[Batch]") -> "Batch":
         """Return one batch of these lanes and the others. `underway` must be set in all batches or in none."""
         parts = [batch._arrays() for batch in (self, *others)]
-        return Batch(self.accuracy, **map_leaves(lambda *x: np.concatenate(x, axis=-1), *parts))
+        return replace(self, **map_leaves(lambda *x: np.concatenate(x, axis=-1), *parts))
 
     def _arrays(self) -> dict[str, Any]:
-        return {name: x for name, x in vars(self).items() if name != "accuracy"}
+        return {name: x for name, x in vars(self).items() if name not in ("accuracy", "is_check")}
 
 
 def steps_at_most(seconds: float, accuracy: Accuracy, fixed: float = LANE_MAX_STEPS) -> float:
@@ -170,23 +173,25 @@ class Engine:
         return settled
 
     def observe(self, batches: list[Batch], report: Report = unreported) -> list[Features]:
-        """Observe the lanes of each batch and return their features.
+        """Observe the lanes of each batch and return their features; those of check runs only as far as needed.
 
         `report` is called with the number of lanes that have just been finished, in any batch.
         """
 
         def program(batch: Batch) -> Bound:
             assert batch.underway is not None
-            effort = self._effort(batch.accuracy)
-            return self.programs.bind(observe_lanes, batch.given, batch.underway, batch.begin, batch.duration, effort)
+            effort, observe = self._effort(batch.accuracy), observe_lanes
+            if batch.is_check and self.programs.compiles_check:
+                observe = check_lanes
+            return self.programs.bind(observe, batch.given, batch.underway, batch.begin, batch.duration, effort)
 
         return [{name: x.T for name, x in features.items()} for features in self._run(batches, program, report)]
 
     def compile(self, inputs: LaneInputs, accuracy: Accuracy) -> None:
         """Compile the programs once, instead of in every thread, without stepping lanes.
 
-        On CPUs, the program of the observation is compiled in the background while the others already run. A thread
-        that needs this program waits for it. `inputs`: lanes, of which the first are used to decide whether kernels are
+        On CPUs, the programs of the observation are compiled in the background while the others already run. A thread
+        that needs one of them waits for it. `inputs`: lanes, of which the first are used to decide whether kernels are
         trusted.
 
         **Raises:** `InputError` if the compiled arithmetic is wrong on this machine.
@@ -204,7 +209,8 @@ class Engine:
                 pass
             self.programs = alone.programs
             if not self.accelerated:
-                threading.Thread(target=_early, args=(partial(alone.observe, still),), daemon=True).start()
+                observed = [*still, replace(still[0], is_check=True)]
+                threading.Thread(target=_early, args=(partial(alone.observe, observed),), daemon=True).start()
 
     def _effort(self, accuracy: Accuracy) -> Effort:
         run = self.run

@@ -89,6 +89,14 @@ def observe_lanes(
     return features | ({END: jnp.stack(lane.state)} if kind.tells_end else {})
 
 
+def check_lanes(
+    kind: ProgramKey, given: LaneArguments, underway: LaneState, begin: Lanes, duration: Lanes, effort: Effort
+) -> Features:
+    """Return the features of the check run, see `Records.for_check`."""
+    checked = kind._replace(recorder=kind.recorder.for_check(), tells_end=False)
+    return observe_lanes(checked, given, underway, begin, duration, effort)
+
+
 def constants_of(kind: ProgramKey, given: LaneArguments) -> Any:
     """Return the scene's constants for a motion from each lane's initial state."""
     constants = kind.scene.constants(given.parameters)

@@ -170,7 +170,7 @@ class LaneRun:
                     fine = leaving.observed(now, duration[done])
                     half.fine.append(fine)
                     begin = (1 + self.stepper.check_settles) * now
-                    half.check.append(replace(fine, accuracy=coarse).observed(begin, duration[done]))
+                    half.check.append(replace(fine, accuracy=coarse, is_check=True).observed(begin, duration[done]))
             if rule is not None:
                 candidates = near[0].joined(near[1:])
                 ended = rule.ended(candidates)
@@ -180,7 +180,7 @@ class LaneRun:
             if not len(active.lanes):
                 return half
         half.fine.append(active)
-        half.check.append(replace(active, accuracy=coarse))
+        half.check.append(replace(active, accuracy=coarse, is_check=True))
         return half
 
     def _second_half(self, batch: Batch, half: FirstHalf, portions: Portions) -> Features:

@@ -76,6 +76,7 @@ class Gauge(ABC, Generic[K]):
 
     - `summed`: names of the sums; `needs`: capabilities that the scene must have.
     - `variables`: unit and long name of each dataset variable that is not in [vibrojax.io.variables][].
+    - `checked`: whether error estimates or labels compare what it measures with the check run.
 
     **Example:**
 
@@ -95,6 +96,7 @@ class Gauge(ABC, Generic[K]):
     summed: ClassVar[tuple[str, ...]] = ()
     variables: ClassVar[Mapping[str, tuple[str, str]]] = {}
     needs: ClassVar[tuple[type[Scene[Any]], ...]] = ()
+    checked: ClassVar[bool] = False
 
     def increments(self, scene: K, c: Any, moment: Moment) -> Sums:
         """Return what a step adds to each sum in `summed`, by name; `c`: the constants of the scene."""
@@ -115,6 +117,10 @@ class Gauge(ABC, Generic[K]):
     def section(self, scene: K, c: Any, carry: Any, crossing: Return) -> Any:
         """Return the gauge's carry after a section crossing in the lanes that the mask `crossing.here` selects."""
         return carry
+
+    def for_check(self) -> "Gauge[K] | None":
+        """Return the gauge of the check run, or None if it is not `checked`."""
+        return self if self.checked else None
 
     @abstractmethod
     def read(self, scene: K, c: Any, carry: Any, whole: Whole) -> dict[str, Lanes]:

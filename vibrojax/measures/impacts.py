@@ -4,7 +4,7 @@ Means over the hole are over return intervals for a drill, and over pulse period
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from vibrojax.lazy import jnp
@@ -41,11 +41,16 @@ class Impacts(Gauge[HasImpacts[Any]]):
     """impacts, impact_velocity(_min, _max), impact_phase.
 
     For a contact with a force, impact_energy, peak_impact_force and mean_impact_force in addition; for a sliding bit,
-    bit_velocity_at_impact.
+    bit_velocity_at_impact. Without `peak`, peak_impact_force is left out.
     """
+
+    peak: bool = True
 
     summed = ("impacts", "velocity", "velocity_squared", "bit_velocity", "lag", "force")
     needs = (HasImpacts,)
+
+    def for_check(self) -> "Impacts":
+        return replace(self, peak=False)
 
     def increments(self, scene: HasImpacts[Any], c: Any, moment: Moment) -> Sums:
         step = moment.step
@@ -78,7 +83,7 @@ class Impacts(Gauge[HasImpacts[Any]]):
         step = moment.step
         begins, velocity = _begins(scene, c, step)
         since = _updated(carry.since, begins, velocity, velocity)
-        if isinstance(scene, HasContact):
+        if self.peak and isinstance(scene, HasContact):
             carry = carry._replace(peak=jnp.maximum(carry.peak, highest(_force(scene, c, step), step.tau)))
         return carry._replace(since=since)
 
@@ -97,8 +102,8 @@ class Impacts(Gauge[HasImpacts[Any]]):
         if isinstance(scene, HasContact):
             forces = {
                 "impact_energy": scene.striker_mass(c) / 2 * sums["velocity_squared"] / count,
-                "peak_impact_force": carry.peak,
                 "mean_impact_force": sums["force"] / whole.time,
+                **({"peak_impact_force": carry.peak} if self.peak else {}),
             }
         return sliding | {
             "impacts": jnp.where(whole.cycles > 0, jnp.round(per_return * whole.cycles), per_return),
@@ -139,6 +144,7 @@ class Hole(Gauge[HasRock[Any]]):
 
     summed = ("growth",)
     needs = (HasRock, HasContact)
+    checked = True
 
     def increments(self, scene: HasRock[Any], c: Any, moment: Moment) -> Sums:
         return {"growth": _growth(scene, moment.step)}

@@ -39,6 +39,8 @@ class Swings(Gauge[Scene[Any]]):
     trend is 1 if the amplitude of the first position grows steadily, -1 if it decays steadily, else 0.
     """
 
+    checked = True
+
     def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Swung:
         places = positions(scene, lane)
         none = jnp.full((EIGHTHS, *places[0].shape), jnp.nan, places[0].dtype)
@@ -100,6 +102,8 @@ def _trend(greatest: Array) -> "jax.Array":
 @dataclass(frozen=True)
 class Faults(Gauge[Scene[Any]]):
     """fault: why the motion cannot go on, an index into the scene's `fault_reasons`."""
+
+    checked = True
 
     def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Lanes:
         return scene.fault(lane.mode)

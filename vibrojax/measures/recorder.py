@@ -5,7 +5,7 @@ A program lets lanes settle (any number of times), then observes them and return
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from vibrojax.errors import InputError, asked, number_of, shown
@@ -32,6 +32,10 @@ class Records(ABC):
     While lanes settle, nothing is recorded by default. The carry is a pytree of arrays whose last axis is lanes.
     Recorder objects are static arguments of compiled programs, so a recorder is a frozen dataclass.
     """
+
+    def for_check(self) -> "Records":
+        """Return the recorder of the check run, which settles as this one does and may measure less."""
+        return self
 
     def settling(self, scene: Scene[Any], lane: Lane) -> Any:
         """Return the carry for the settling time, at t = 0."""
@@ -89,6 +93,10 @@ class Recorder(Records):
     """The recorder of gauges, evaluated over complete return intervals of the scene's section."""
 
     gauges: tuple[Gauge[Any], ...]
+
+    def for_check(self) -> "Recorder":
+        checked = (gauge.for_check() for gauge in self.gauges)
+        return replace(self, gauges=tuple(gauge for gauge in checked if gauge is not None))
 
     def settling(self, scene: Scene[Any], lane: Lane) -> Settling:
         return section.begin(scene, lane)

@@ -143,6 +143,8 @@ class KeptReturns(Gauge[Scene[Any]]):
     keep: int
     grows: bool = False
 
+    checked = True
+
     def begin(self, scene: Scene[Any], c: Any, lane: Lane) -> Array:
         shape = (self.keep, len(self._names(scene)), *lane.state[0].shape)
         return jnp.full(shape, jnp.nan, lane.state[0].dtype)
