@@ -88,6 +88,17 @@ def test_observations_in_another_unit_are_refused(motion):
         _calibrated(runs | {"period": 1e3 * runs["period"]})
 
 
+def test_rotation_speed_and_radius_are_conditions(motion):
+    """A radius for all rows completes their rotation speeds; a column of either gives the drive speed 2 pi n r/60."""
+    data = _runs(motion)
+    rpm = {"rpm": data.pop("v") / (2 * np.pi * 0.1) * 60}
+    for columns, fixed in ((rpm, {"bit_radius": 0.1}), (rpm | {"bit_radius (mm)": np.full(len(SPEEDS), 100.0)}, {})):
+        fit = _calibrated(columns | data, parameters=FIXED["parameters"] | fixed)
+        assert fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-7)
+    with pytest.raises(vj.InputError, match=r"rpm: bit_radius \[m\] is missing; only both together give v"):
+        _calibrated(rpm | data)
+
+
 def test_observations_are_converted_from_the_unit_that_they_state(motion):
     """Columns of a dataset or of a table of arrays may be in any unit."""
 

@@ -77,6 +77,17 @@ def test_samples_with_missing_value_are_left_out_entirely():
         assert REASONS[int(results["sobol_reason"])] == reason and np.isnan(results["first_order"]).all()
 
 
+def test_rare_changes_are_not_mistaken_for_certainty():
+    """The corner a, b < s of the unit square has the total indices 1/(1 + s), also if no sample shows a change."""
+    side, unseen = 0.15, 0
+    for seed in range(8):
+        own = Sampling({"a": (0.0, 1.0), "b": (0.0, 1.0)}, 64, seed)
+        results = indices(own, 1.0 - (own.points() < side).all(axis=1))
+        assert (np.abs(results["total_order"] - 1 / (1 + side)) <= results["total_order_conf"]).all()
+        unseen += int((results["total_order"] == 0).any())
+    assert unseen  # for some seeds
+
+
 def test_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     table = {**STUDY, "samples": 8}

@@ -206,11 +206,12 @@ _COLUMN = {"assumed": _flag, "unit": _text, "given_in": _text, "column": _text, 
 _READERS: dict[str, Reader] = {
     **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), _text),
     **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
-    **dict.fromkeys(("dialect", "detected", "notes", "error_model", "verdict", "robust"), _text),
+    **dict.fromkeys(("dialect", "detected", "notes", "error_model", "verdict"), _text),
     **dict.fromkeys(("solver", "identity", "machine", "attractors"), _json),
     **dict.fromkeys(("lanes", "wall_time_s", "rows_read", "reference_force"), _number),
     **dict.fromkeys(("parameters", "certified", "nulls"), _numbers),
     "run": partial(_entries, readers={"settle": _TIME, "observe": _TIME, "error": _TIME, "carry": _axis}),
+    "robust": lambda place, value: value if isinstance(value, str) else _number(place, value),  # a loss, or 1
     "differing": _differing,
     "columns": partial(_each, read=partial(_entries, readers=_COLUMN, needed=("assumed",))),
     **dict.fromkeys(("dropped", "left_out_rows"), partial(_each, read=_ROWS)),

@@ -1,6 +1,6 @@
 """The file of a calibration: observations of orbits and a recorded velocity, unknowns, errors and priors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -20,8 +20,9 @@ from vibrojax.maps.bounds import SceneFile, read_bounds, read_file
 from vibrojax.maps.read import read_point
 from vibrojax.periodic.derivatives import orbit_variables
 from vibrojax.physics.arrays import check_untraced
-from vibrojax.physics.parameters import Parameter
+from vibrojax.physics.parameters import ROTATION, Parameter, resolved
 from vibrojax.physics.units import factor, likely_units, stated_unit
+from vibrojax.scenes import HasRock
 from vibrojax.settings.fields import Settings, given, setting, settings_of
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import Source, plain, read_source
@@ -103,24 +104,33 @@ def read_calibration(
         source = {key: value for key, value in source.items() if key not in recorded}
     origin = read_source(source, "calibration")
     file, place, names = read_file(CalibrationFile, replace(origin, tables=origin.tables | recorded))
-    unknown, fixed, folder = as_table(place.at("unknown"), file.unknown or {}), file.parameters, origin.folder
+    unknown, fixed, folder = as_table(place.at("unknown"), file.unknown or {}), dict(file.parameters), origin.folder
     for name in unknown:
         if name in names.writable and name not in names.parameters:
             fault = f"is not a parameter of the scene itself; choose from {', '.join(names.parameters)}"
             raise place.at("unknown").at(name).error(fault)
     unknown = dict(sorted(unknown.items(), key=lambda item: item[0] == CONSTANT))
-    bounds = read_bounds(place.at("unknown"), unknown or None, names, fixed, further={CONSTANT: LAW})
     variables = [name for name in orbit_variables(names.system) if name in VARIABLES]
+    conditions, observed, errors, labels, home = _read_rows(place, file, folder, names, variables, unknown)
+    varying = [*conditions]
+    if turning := {name: home.at(f"column {name}") for name in varying if name not in names.parameters}:
+        others = {name: place.at("parameters").at(name) for name in (*ROTATION, "v") if name in fixed}
+        others |= {name: place.at("unknown").at(name) for name in unknown} | {name: home.at(name) for name in varying}
+        names.check_substitutes(others | turning)
+        given = {name: names.quantity(others[name], name, fixed[name]) for name in ROTATION if name in fixed}
+        conditions = {name: x for name, x in resolved(conditions | given).items() if name not in ROTATION}
+        hole = {"bit_radius"} if isinstance(names.system, HasRock) else set()
+        fixed = {name: x for name, x in fixed.items() if name in hole or name not in ROTATION}
+    bounds = read_bounds(place.at("unknown"), unknown or None, names, fixed, further={CONSTANT: LAW})
     if CONSTANT in bounds and RELIEF not in variables:
         why = f"scene {shown(names.scene)} has no relief; choose drilling, coupled-drilling or penetration"
         raise place.at("unknown").at(CONSTANT).error(why)
-    conditions, observed, errors, labels, home = _read_rows(place, file, folder, names, variables, bounds)
     if CONSTANT in bounds and RATE not in observed:
         raise home.error(f"has no column {RATE}, which {CONSTANT} needs; add it")
     point = read_point(place.at("parameters"), file.scene, fixed, file.start)
     history = None
     if file.history is not None:
-        history = _read_history(place.at("history"), file, names, conditions, folder, columns or {})
+        history = _read_history(place.at("history"), file, names, varying, folder, columns or {})
         if not labels.size and file.start is not None:
             fault = "belongs in [history], as the state at its first sample; there are no rows"
             raise place.at("start").error(fault)
@@ -166,21 +176,25 @@ def _read_rows(
     folder: Path,
     names: Names,
     variables: Sequence[str],
-    bounds: Mapping[str, object],
+    unknown: Mapping[str, object],
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray, Place]:
-    """Return operating conditions, observations and standard errors of the rows, their numbers, and their place."""
+    """Return operating conditions, observations and standard errors of the rows, their numbers, and their place.
+
+    A rotation speed and a radius are conditions too.
+    """
     if file.data is None and file.history is not None:
         return {}, {}, {}, np.zeros(0, int), place
     if file.data is None:
         raise place.at("data").error('missing; give the path of a CSV file with observations, like data = "runs.csv"')
-    units = {name: parameter.unit for name, parameter in names.parameters.items()}
+    writable = {name: x for name, x in names.writable.items() if name in names.parameters or name in ROTATION}
+    units = {name: parameter.unit for name, parameter in writable.items()}
     units |= {f"{name}{end}": VARIABLES[name].units for end in ("_error", "") for name in variables}
     table, labels, place = _read_table(place.at("data"), file.data, folder, units)
-    conditions = {name: x for name, x in table.items() if name in names.parameters}
+    conditions = {name: x for name, x in table.items() if name in writable}
     observed = {name: x for name, x in table.items() if name in variables}
     for name, x in (conditions | observed).items():
         here = place.at(f"column {name}")
-        if name in bounds or name in file.parameters:
+        if name in unknown or name in file.parameters:
             raise here.error("is an unknown or a fixed parameter as well; give it in one of the two")
         if name in conditions and not np.isfinite(x).all():
             raise here.error("has an empty cell; every observation needs its operating conditions")
@@ -195,7 +209,7 @@ def _read_rows(
             raise here.error(f"{fault}; correct the cells, or leave them empty")
     if not observed:
         raise place.error(f"holds no observation; name a column after a variable, such as {', '.join(variables[:3])}")
-    if not {*bounds, *conditions} - {CONSTANT}:
+    if not {*unknown, *conditions} - {CONSTANT}:
         raise place.error(f"has no operating conditions, and only {CONSTANT} is unknown; use vibrojax fit")
     errors = {name: table[f"{name}_error"] for name in observed if f"{name}_error" in table}
     return conditions, observed, errors, labels, place
@@ -222,7 +236,7 @@ def _read_history(
     place: Place,
     file: CalibrationFile,
     names: Names,
-    conditions: Mapping[str, object],
+    conditions: Collection[str],
     folder: Path,
     columns: Mapping[str, str],
 ) -> History:

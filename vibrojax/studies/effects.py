@@ -380,11 +380,15 @@ def _sentences(row: xr.Dataset) -> list[str]:
     second, errors = row["second_order"].values, row["second_order_conf"].values
     pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if second[i, j] >= max(MIN_SHARE, errors[i, j])]
     sentences += [_pair_sentence(row, i, j) for i, j in sorted(pairs, key=lambda pair: -second[pair])]
-    others = [name for k, name in enumerate(names) if k not in order]
-    if others:
-        hardly, each = ("hardly matters", "") if len(others) == 1 else ("hardly matter", " each")
+    unknown = row["total_order_conf"].values > WIDE
+    for is_unknown in (False, True):
+        others = [name for k, name in enumerate(names) if k not in order and unknown[k] == is_unknown]
         listed = " and ".join([", ".join(others[:-1]), others[-1]] if len(others) > 1 else others)
-        sentences.append(f"{listed} {hardly}: less than {_percent(MIN_SHARE)} of the variation{each}")
+        if others and is_unknown:
+            sentences.append(f"too few samples to tell whether {listed} matter{'s' * (len(others) == 1)}")
+        elif others:
+            hardly, each = ("hardly matters", "") if len(others) == 1 else ("hardly matter", " each")
+            sentences.append(f"{listed} {hardly}: less than {_percent(MIN_SHARE)} of the variation{each}")
     shown = np.concatenate([row["first_order"].values[order], total[order], [second[pair] for pair in pairs]])
     if (np.abs(np.round(shown, 2) - 0.5) > 0.5).any():
         sentences.append("shares beyond 0 and 100 %, from too few samples, are given as 0 and 100 %")

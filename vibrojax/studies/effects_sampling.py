@@ -200,7 +200,21 @@ def _sobol_indices(sampling: Sampling, groups: Float[np.ndarray, "groups points"
         for end in ("", "_conf"):
             x = np.asarray(sobol[f"{short}{end}"], float)
             result[f"{name}{end}"] = np.where(np.isnan(x), x.T, x) if x.ndim == 2 else x
+    result["total_order_conf"] = np.fmax(result["total_order_conf"], _unseen(groups))
     return result | {"sobol_reason": np.asarray(REASONS.index("known"))}
+
+
+def _unseen(groups: Float[np.ndarray, "groups points"]) -> float:
+    """Return the share of the variance that a parameter may cause although the variable changed in no sample.
+
+    Where most samples have one value, as a share of lanes has, rare changes cause the variance, and resampling gives an
+    interval of width 0 if none was seen. With 95 % confidence, they then have at most the probability 3/groups (rule of
+    three); each causes at most half the squared range of the values.
+    """
+    if np.unique(groups, return_counts=True)[1].max() <= groups.size / 2:
+        return 0.0
+    with np.errstate(divide="ignore"):
+        return min(1.0, 3 / len(groups) * float(np.ptp(groups) ** 2 / (2 * np.var(groups[:, [0, -1]]))))
 
 
 def factorial_effects(
