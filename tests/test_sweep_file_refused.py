@@ -82,7 +82,7 @@ def test_wrong_input_is_refused(changes, line):
     ("content", "line"),
     [
         (b'scene = "rotary\n', "map.toml: not TOML: Illegal character '\\n' (at line 1, column 16)"),
-        (b"\xff\xfe", "map.toml: not UTF-8 text (byte 0); save it as UTF-8"),
+        (b"\xff\xfe", "map.toml: UTF-16 text; save it as UTF-8"),
     ],
 )
 def test_files_that_are_not_toml_are_refused(tmp_path, content, line):

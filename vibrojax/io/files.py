@@ -76,7 +76,11 @@ def read_text(path: Path, windows: bool = False) -> str:
         if windows and not _NOT_TEXT.search(content):
             warnings.warn(f"{path}: not UTF-8 (byte {error.start}), read as Windows-1252", stacklevel=2)
             return content.decode("cp1252", "replace")
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+        if content.startswith((b"\x89HDF", b"CDF")):
+            raise InputError(f"{path}: is a dataset, not text; vibrojax info says what it holds") from None
+        is_utf16 = content.startswith((b"\xff\xfe", b"\xfe\xff"))
+        fault = "UTF-16 text" if is_utf16 else f"not UTF-8 text (byte {error.start})"
+        raise InputError(f"{path}: {fault}; save it as UTF-8") from None
     except FileNotFoundError:
         similar = [other.name for other in path.parent.glob(f"*{path.suffix}")] if path.parent.is_dir() else []
         best = nearest(path.name, similar)

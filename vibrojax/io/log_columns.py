@@ -50,7 +50,7 @@ _ALIASES = {
     RATE: "rop, rate of penetration, rop 1 ft, rop 1 m, rop depth hour, rop avg, ropa",
     WEIGHT: "weight on bit, wob, woba, wob avg",
     ROTATION_SPEED: "rotary speed, rotary rpm, top drive rpm, surf rpm, surface rpm, rpmx, rpma, rpm",
-    "torque": "surface torque, top drive torque, rotary torque, torque, trq, tqa, tqx",
+    "torque": "surface torque, top drive torque, rotary torque, torque, trq, tq, tqa, tqx",
     "flow": "flow in, mud flow in, total pump output, mfia",
     "pressure": "pump press, pump pressure, standpipe pressure, stand pipe pressure, spp, sppa",
     "bit_diameter": "diameter, bit diameter, bit size, bs",

@@ -40,6 +40,8 @@ SLOWEST_ROTATION = 1 * RPM
 OFF_BOTTOM = 0.5
 """Distance [m] of the bit from the hole's end above which it does not drill; depths are rounded to 0.3 m or less."""
 
+_LISTED = 8  # columns that a note lists
+
 LIMITS = {RATE: 500 * 0.3048 / 3600, WEIGHT: 800e3, ROTATION_SPEED: 500 * RPM, "torque": 200e3, "pressure": 150e6}
 """Greatest values [SI] within reason: 500 ft/h, 180 klbf, 500 rpm. Connections, slips and faults leave larger ones."""
 
@@ -145,6 +147,9 @@ def read_log(
     is_rig = known.RELIEF not in chosen and any(
         name in known.RIG or (name and not cell.startswith(name)) for name, cell in names
     )
+    if is_rig and (unread := [cell for k, cell in enumerate(header) if k not in own and cell not in ("", "row")]):
+        more = f" and {counted(len(unread) - _LISTED, 'other')}" if len(unread) > _LISTED else ""
+        notes.append(f"columns without a known name, which --columns can give: {', '.join(unread[:_LISTED])}{more}")
     data = pd.DataFrame(table)
     met = {f"not {each.text}": _meets(place, each, data, chosen) for each in conditions}
     limits = LIMITS | dict.fromkeys((name for name, _ in met.values()), np.inf)
@@ -161,7 +166,7 @@ def read_log(
     reason = np.select(list(masks.values()), list(masks), "") if masks else np.full(len(data), "")
     dropped = {name: lines[reason == name] for name in masks if (reason == name).any()}
     if not kept.any():
-        texts = ", ".join(f"{name} {part.size}" for name, part in dropped.items())
+        texts = ", ".join(f"{name} ({counted(part.size, 'row')})" for name, part in dropped.items())
         hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
         raise place.at(f"line {lines[0]} to {lines[-1]}").error(f"no row is left of {len(cells)}: {texts}{hint}")
     data = data[kept].reset_index(drop=True)

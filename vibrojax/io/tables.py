@@ -165,7 +165,8 @@ def read_cells(place: Place, path: Path) -> Frame:
     counts = cells.iloc[:, :width].notna().sum(axis=1) + (cells.iloc[:, width:].fillna("") != "").sum(axis=1)
     if (wrong := counts[counts != width].astype(int)).size:
         listed = listed_faults([f"line {line} has {counted(count, 'cell')}" for line, count in wrong.items()])
-        raise place.error(f"{listed}; {width} are needed, one a column")
+        hint = "; if commas are decimal marks, separate the columns by semicolons" if wrong.min() > width else ""
+        raise place.error(f"{listed}; {width} are needed, one a column{hint}")
     return cells.iloc[:, :width].set_axis(header, axis=1)
 
 

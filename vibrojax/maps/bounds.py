@@ -35,6 +35,7 @@ class SceneFile(Settings):
     scene: Any = setting(MISSING, 'write the scene\'s name, like scene = "vibro-impact"', read=given)
     title: Any = setting("", "title of the dataset", read=given)
     parameters: dict[str, Any] = setting(dict, "values of the other parameters", read=as_table)
+    unusual: bool = setting(False, "whether values far from those of rigs are intended")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +45,6 @@ class VariedFile(SceneFile):
     vary: Any = setting(None, "bounds of the varied parameters", read=given)
     starts: Any = setting(None, "initial conditions, as in a sweep", read=given)
     run: dict[str, Any] = setting(dict, "settings of the run, as in a sweep", read=as_table)
-    unusual: bool = setting(False, "whether values far from those of rigs are intended")
 
     def sweep(self, file: str, points: Mapping[str, list[float]], **changes: object) -> Sweep:
         """Return the sweep over points, with some keys changed; messages name the file, and its table [vary]."""

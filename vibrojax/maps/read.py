@@ -214,7 +214,9 @@ class Point:
         return known | ({"bit_radius": self.hole_radius} if isinstance(self.system, HasRock) else {})
 
 
-def read_point(place: Place, scene: object, parameters: Mapping[str, object], start: object = None) -> Point:
+def read_point(
+    place: Place, scene: object, parameters: Mapping[str, object], start: object = None, unusual: bool = False
+) -> Point:
     """Validate one point and complete it with defaults.
 
     **Arguments:**
@@ -225,6 +227,7 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
       `rpm` and `bit_radius` may replace `v`, `bit_frequency` `k1`, `striker_frequency` `gamma`, and `rock` may replace
       `threshold` and `k3`.
     - `start`: initial condition, a name or a vector [x1, x1', x2, x2'] [m, m/s]; None for the first of the scene.
+    - `unusual`: whether values far from those of rigs are intended, and give no warning.
 
     **Raises:** `InputError`.
     """
@@ -235,7 +238,7 @@ def read_point(place: Place, scene: object, parameters: Mapping[str, object], st
     start = read_start(place.at("start"), start, names)
     names.check_substitutes({name: place.at(name) for name in table})
     for name, value in fixed.items():
-        if name in table:
+        if name in table and not unusual:
             warn_if_far(place.at(name), names.writable[name], value)
     values = completed(names, fixed)
     ordered = {name: values[name] for name in names.parameters}

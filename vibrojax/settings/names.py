@@ -172,7 +172,7 @@ class Names:
         if name in RunSettings.__dataclass_fields__:
             return f'is not a parameter; it belongs in [run], in Python run={{"{name}": ...}}'
         if name in (*TOP_KEYS, "points"):
-            return "is not a parameter; it belongs at the top of the file"
+            return "is not a parameter; it belongs at the top of a sweep file"
         if not hint and not isinstance(self.system, System) and (elsewhere := self._meaning_elsewhere(name)):
             return f"scene {shown(self.scene)} has no {elsewhere}"
         return f"scene {shown(self.scene)} has no such parameter; {suggest_parameter(name, self.writable)}"

@@ -127,7 +127,8 @@ def _estimates(ds: xr.Dataset) -> list[str]:
         columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high")
         value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 5}g}" for x in columns)
         bound = reasons[int(ds["reason"][k])] == "at-bound"
-        line = f"{name} = {value}{' at its bound' if bound else f' ± {error}'} {pretty_unit(unit)}".rstrip()
+        line = f"{name} = {value}{'' if bound else f' ± {error}'} {pretty_unit(unit)}".rstrip()
+        line += " at its bound" if bound else ""
         lines.append(f"{line}, 95 %: {low} to {high}")
     return lines
 

@@ -127,7 +127,7 @@ def read_calibration(
         raise place.at("unknown").at(CONSTANT).error(why)
     if CONSTANT in bounds and RATE not in observed:
         raise home.error(f"has no column {RATE}, which {CONSTANT} needs; add it")
-    point = read_point(place.at("parameters"), file.scene, fixed, file.start)
+    point = read_point(place.at("parameters"), file.scene, fixed, file.start, file.unusual)
     history = None
     if file.history is not None:
         history = _read_history(place.at("history"), file, names, varying, folder, columns or {})
@@ -271,7 +271,8 @@ def _read_history(
     states = () if table.start is not None else tuple(system.states[system.place(name)] for name in system.start_states)
     guess = [float(np.nan_to_num(x[state.name][0])) if state.name in x else 0.0 for state in states]
     speed = SPEED_BOUND * float(np.abs(velocity).max()) or 1.0
-    point = read_point(place, file.scene, {**file.parameters, **own}, guess if table.start is None else table.start)
+    parameters, start = {**file.parameters, **own}, guess if table.start is None else table.start
+    point = read_point(place, file.scene, parameters, start, file.unusual)
     if {"m1", "k1"} <= point.parameters.keys():
         step = float(np.median(np.diff(time)))
         period = 2 * np.pi * np.sqrt(point.parameters["m1"] / point.parameters["k1"])

@@ -29,6 +29,11 @@ SLOWEST_SAMPLING = 2.0
 """Longest time [s] between rows for that index. Rarer rows miss the torque's extremes within a period."""
 
 FOUNDER_REASONS = ("found", "no-bend", "too-few-rows", "no-weight")
+_NO_FOUNDER = {
+    "no-bend": "the rate over the weight has no bend",
+    "too-few-rows": "too few rows to tell",
+    "no-weight": "no weight on bit",
+}
 _NEEDED = {
     "specific_energy": (WEIGHT, ROTATION_SPEED, "torque", "bit_diameter"),
     "percussive_specific_energy": ("impact_power", "bit_diameter"),
@@ -246,7 +251,7 @@ class Rigs(Analysis):
         reason, (factor, unit) = FOUNDER_REASONS[int(ds["founder_reason"])], _unit(ds, "N")
         founder, does = float(ds["founder_weight"]), "falls" if float(ds["slope_above"]) < 0 else "does not rise"
         lines = [f"founder point at a weight of {factor * founder:.4g} {unit}; above it the rate {does}"]
-        lines = lines if reason == "found" else [f"no founder point ({reason})"]
+        lines = lines if reason == "found" else [f"no founder point: {_NO_FOUNDER[reason]}"]
         facts: dict[str, object] = {"founder_weight": founder, "founder_reason": reason}
         for name in _NEEDED:
             values, unit = _drawn(ds, name)

@@ -268,7 +268,7 @@ def _read_rows(place: Place, source: Path | pd.DataFrame, columns: Columns, wher
         name, free = missing[0], [str(name) for name in log if name not in (*log.attrs["units"], LINE)]
         units = {cell: known.split_unit(cell)[1] for cell in free}
         likely = [cell for cell, unit in units.items() if unit and factor(unit, KNOWN[name].unit) is not None]
-        hint = f"the file has {', '.join(free) or 'no others'}"
+        hint = f"of other columns, the file has {', '.join(free)}" if free else "name its column with --columns"
         if like := likely[0] if likely else nearest(name, free):
             hint = f"if {shown(like)} is it, name it with its unit: --columns {shell_assignment(name, like)}"
         if missing == [THRESHOLD]:
