@@ -12,6 +12,8 @@ from refusals import command_refusal, refusal
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.pictures.draw import draw
+from vibrojax.pictures.plots import Plot, Sheet, dots, key
 from vibrojax.pictures.selection import select
 from vibrojax.studies.choose import picture, requested
 
@@ -148,3 +150,16 @@ def test_command_does_not_replace_other_pictures(written, capsys):
     written.with_name("map-magma.png").write_bytes(b"of something else")
     assert name_of("--colours", "magma") == "map-magma-2.png"
     assert written.with_name("map-magma.png").read_bytes() == b"of something else"
+
+
+# Legends.
+
+
+def test_short_legend_does_not_narrow_the_panels():
+    """A legend of one entry is below the panel, which has the width of the sheet; one of the panel's height is not."""
+    for count, sides in ((1, (0.0, 0.5)), (20, (0.5, 1.0))):
+        keys = [[key(f"the entry of a legend {k}") for k in range(count)]]
+        figure = draw(Sheet([Plot([dots([0, 1], [0, 1])])], (5.0, 4.0), keys=keys))
+        figure.draw_without_rendering()
+        low, high = sides
+        assert low <= figure.legends[0].get_window_extent().x0 / figure.bbox.width <= high

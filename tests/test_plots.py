@@ -175,7 +175,7 @@ def test_first_rule_that_fits_draws_texts_without_overlap(name):
     assert first_rule(ds) == name
     check_texts(picture(ds.assign_attrs(title=f"{ds.attrs.get('title', 'A drill')} " * 12)))
     column = picture(ds, width="85mm")
-    assert column.get_figwidth() == pytest.approx(85 / 25.4)
+    assert column.get_figwidth() == pytest.approx(85 / 25.4) and column.get_figheight() <= 235 / 25.4
     check_texts(column)
 
 
@@ -207,6 +207,7 @@ def test_titles_break_between_words():
     title = "start drive: 14 % of the plane"
     assert broken_title(title, 24) == "start drive:\n14 % of the plane"
     assert broken_title(title, 12).split() == title.split()
+    assert broken_title("upper\nC = 21.5 ± 0.7 m/h", 24) == "upper\nC = 21.5 ± 0.7 m/h"
 
 
 def test_maps_show_lanes_named_in_their_titles():

@@ -55,7 +55,7 @@ def maps_of(
     lanes are a list of points, rather than a grid.
     """
     count, many = len(panels), len(values)
-    if blocks := count > _MOST_BESIDE:
+    if blocks := count > _MOST_BESIDE or (is_narrow() and count == _NARROW_COLUMNS):
         of_facets = panels.places(_NARROW_COLUMNS if is_narrow() else _MOST_COLUMNS)
         block = 1 + max(row for row, _ in of_facets)
         places = [(row + i * block, column) for row, column in of_facets for i in range(many)]
