@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from drawn import LONG, basin, cells, lanes, line, plane, points, returns, sample, scales, sheet_of, square
 from matplotlib.collections import QuadMesh
 from refusals import command_refusal, refusal
@@ -12,8 +13,10 @@ from refusals import command_refusal, refusal
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.measures.labels import SINGLE_IMPACT
+from vibrojax.pictures.chart import chart
 from vibrojax.pictures.draw import draw
-from vibrojax.pictures.plots import Plot, Sheet, dots, key
+from vibrojax.pictures.plots import Line, Plot, Sheet, Text, dots, key
 from vibrojax.pictures.selection import select
 from vibrojax.studies.choose import picture, requested
 
@@ -163,3 +166,33 @@ def test_short_legend_does_not_narrow_the_panels():
         figure.draw_without_rendering()
         low, high = sides
         assert low <= figure.legends[0].get_window_extent().x0 / figure.bbox.width <= high
+
+
+# The designer's chart.
+
+
+def test_star_of_chart_is_robust_within_the_map():
+    """Everywhere is a single impact, strongest at the edge, where cells are not known to be robust."""
+    grid = np.linspace(0.3, 0.7, 5)
+    energy = 100 + 1000 * np.add.outer(grid, grid)
+    penetrated = 0 * energy + np.where(np.arange(5) == 0, 0.1, 0.0)  # only in cells that are not robust
+    table = {"regime": np.full((5, 5), SINGLE_IMPACT), "impact_energy": energy, "blow_frequency": 0 * energy + 260.0}
+    table = {name: (("beta", "gamma"), x) for name, x in (table | {"rate_of_penetration": penetrated}).items()}
+    sheet = chart(xr.Dataset(table, {"beta": grid, "gamma": grid}))
+    assert np.argwhere(sheet.plots[0].layers[0].values == 2).tolist() == [[i, j] for i in (1, 2, 3) for j in (1, 2, 3)]
+    assert "Best robust cell, by impact energy at worst within the tolerance: gamma = 0.6, beta = 0.6" in sheet.note
+    assert "robust: also within\ngamma ± 0.1, beta ± 0.1" in [layer.label for layer in sheet.keys[0]]
+    assert sheet.title.startswith("Designer's chart")
+    coloured = [layer for layer in sheet.plots[0].layers if getattr(layer, "colour", "") == "#9A3B00"]
+    lines, values = ([layer for layer in coloured if isinstance(layer, kind)] for kind in (Line, Text))
+    assert len(lines) == len(values) > 2  # no line of the energy is without its value
+
+
+def test_chart_ends_one_cell_beyond_the_single_impacts():
+    where = np.zeros((9, 9), bool)
+    where[3:6, 2:7] = True
+    table = {"regime": np.where(where, SINGLE_IMPACT, 6), "impact_energy": 1.0 + where, "blow_frequency": 1.0 + where}
+    grid = np.arange(1.0, 10.0)
+    ds = xr.Dataset({k: (("beta", "gamma"), v) for k, v in table.items()}, {"beta": grid, "gamma": grid})
+    shown = chart(ds).plots[0].layers[0]
+    assert shown.values.shape == (5, 7) and (shown.x[0], shown.y[0]) == (1.5, 2.5)

@@ -15,7 +15,6 @@ from refusals import refusal
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.io.variables import REGIMES
-from vibrojax.measures.labels import SINGLE_IMPACT
 from vibrojax.pictures.axes import broken_title, value_text
 from vibrojax.pictures.branches import branches, places, stability, stable_intervals
 from vibrojax.pictures.chart import chart
@@ -388,19 +387,6 @@ def test_studies_show_their_numbers():
     assert tops == [pytest.approx([70.0, 100.0]), pytest.approx([100.0, 100.0])]
     with pytest.raises(InputError, match="chart: the dataset holds no impacts over a grid"):
         chart(ATTRACTORS)
-
-
-def test_star_of_chart_is_robust_within_the_map():
-    """Everywhere is a single impact, strongest at the edge, where cells are not known to be robust."""
-    grid = np.linspace(0.3, 0.7, 5)
-    energy = 100 + 1000 * np.add.outer(grid, grid)
-    penetrated = 0 * energy + np.where(np.arange(5) == 0, 0.1, 0.0)  # only in cells that are not robust
-    table = {"regime": np.full((5, 5), SINGLE_IMPACT), "impact_energy": energy, "blow_frequency": 0 * energy + 260.0}
-    table = {name: (("beta", "gamma"), x) for name, x in (table | {"rate_of_penetration": penetrated}).items()}
-    sheet = chart(xr.Dataset(table, {"beta": grid, "gamma": grid}))
-    assert np.argwhere(sheet.plots[0].layers[0].values == 2).tolist() == [[i, j] for i in (1, 2, 3) for j in (1, 2, 3)]
-    assert "Best robust cell, by impact energy at worst within the tolerance: gamma = 0.6, beta = 0.6" in sheet.note
-    assert "robust: also within\ngamma ± 0.1,\nbeta ± 0.1" in [layer.label for layer in sheet.keys[0]]
 
 
 # Words of axes and notes.

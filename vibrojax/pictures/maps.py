@@ -215,11 +215,12 @@ def contours(
     z: np.ndarray,
     levels: Sequence[float],
     taken: list[np.ndarray],
+    labelled: bool = False,
     **look: Any,
 ) -> list[Layer]:
     """Return contour lines with their values, as far as labels do not lie over those at the places `taken`.
 
-    `taken` has places as fractions of the panel, and is extended.
+    `taken` has places as fractions of the panel, and is extended. `labelled`: leave out lines that have no label.
     """
     generator = contour_generator(x, y, np.ma.masked_invalid(z))
     low, size = np.array([x.min(), y.min()]), np.array([np.ptp(x), np.ptp(y)])
@@ -230,7 +231,6 @@ def contours(
         paths: list[np.ndarray] = [path for path in lines if len(path) > 1]
         if not paths:
             continue
-        layers.append(Line(*np.concatenate([np.append(path, [[np.nan] * 2], axis=0) for path in paths]).T, **look))
         # The label is where the most room is left, best in the middle of the longest line.
         longest = max(paths, key=len)
         places = (longest - low) / size
@@ -239,7 +239,10 @@ def contours(
             room = np.minimum(room, np.max(np.abs(places - other) / _LABEL_ROOM, axis=1))
         room[((places < _LABEL_ROOM) | (places > 1 - _LABEL_ROOM / 2)).any(axis=1)] = 0.0
         best = int(np.argmax(room))
-        if room[best] > 1.0:
+        has_room = bool(room[best] > 1.0)
+        if has_room or not labelled:
+            layers.append(Line(*np.concatenate([np.append(path, [[np.nan] * 2], axis=0) for path in paths]).T, **look))
+        if has_room:
             taken.append(places[best])
             across, up = longest[best].tolist()
             layers.append(Text(across, up, f"{value:g}", colour=look["colour"], size=7.5, halo=1.0))
