@@ -27,7 +27,7 @@ from vibrojax.measures.labels import REGIMES, UNBOUNDED
 from vibrojax.pictures.axes import axis, margins, pretty_unit, quantity_text, scale, value_text, values_along
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_keys
 from vibrojax.pictures.contents import POINT
-from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
+from vibrojax.pictures.plots import Key, Layer, Look, Plot, Points, Sheet, dots, key, level
 from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import read_names
@@ -170,7 +170,10 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
             across = axis(ds[name], group=name, intervals=4)
             up = axis(lanes[quantity], group=quantity)
             plots.append(Plot(layers, across, up, place=(row, column)))
-    keys = regime_keys([lanes["regime"]])
+    keys: list[Key] = [
+        dots(label=entry.label, colour=entry.colour, edge="#4D4D4D", edge_width=0.4, size=6.0)
+        for entry in regime_keys([lanes["regime"]])
+    ]
     for marker, start in zip(_MARKERS, starts if len(starts) > 1 else [], strict=False):
         keys.append(dots(label=f"start: {start}", marker=marker))
     keys.append(dots(label="least and greatest", **_EXTREME))
