@@ -37,6 +37,7 @@ _ROUND_STEPS = [1, 2, 5, 10]
 _BAR_INTERVALS, _INTERVALS_PER_INCH = 6, 2.4  # between the ticks of a colour bar, whose labels would touch else
 _BAR_ASPECT = 24.0  # length over width of a colour bar below one panel
 _FEW_DECADES = 1e3  # ratio of the ends of a logarithmic axis below which 1, 2 and 5 have labels, as plain numbers
+_FEW_TICKS = 4  # intervals up to which such an axis of more than as many decades has only powers of ten
 _DASHED_LENGTH = 2.8  # length of a dashed line in the legend, in units of the font size: two dashes or more
 _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
@@ -139,7 +140,8 @@ def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: plots.Axis, outer: b
     if shown.log:
         axes.set(**{f"{which}scale": "log"})
         if low and high and high / low < _FEW_DECADES:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            few = 0 < shown.intervals < high / low / 10.0 and shown.intervals <= _FEW_TICKS
+            axis.set_major_locator(LogLocator(subs=(1.0,) if few else (1.0, 2.0, 5.0)))
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     elif shown.intervals:

@@ -116,7 +116,7 @@ def response(ds: xr.Dataset) -> Sheet:
     changes = np.flatnonzero(np.diff(slips.astype(int), prepend=0, append=0))
     ends = np.concatenate([frequency[:1], (frequency[1:] + frequency[:-1]) / 2, frequency[-1:]])
     quantities = (
-        (half_swing(hole["x3"] - hole["x4"]), "m", BIT, 1.1, "amplitude of\nx₃ − x₄"),
+        (half_swing(hole["x3"] - hole["x4"]), "m", BIT, 1.1, "amplitude of\nx₃−x₄"),
         (half_swing(hole["v3"]), "m s-1", INK, 1.1, "amplitude of\nx₃′"),
         (depth[1:], "m", ROCK, 2.0, "depth of the hole\nx₄"),
     )

@@ -185,13 +185,14 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
         rows.setdefault((plot.span[2] > 1, plot.place[0]), []).append(plot)
     parts: list[tuple[list[Plot], float, float]] = []  # rows with the width and the height of their panels
     for row in rows.values():
-        shared = {plot.y.group for plot in row} == {row[0].y.group} != {""} and not row[0].has_cells
+        is_map = any(plot.is_map for plot in row)
+        shared = {plot.y.group for plot in row} == {row[0].y.group} != {""} and not is_map
         # Maps of one axis have equal widths, also in a row that is not full.
         alike = [len(other) for other in rows.values() if other[0].x.group == row[0].x.group != ""]
         alike = alike if len(alike) > 1 else []
         count, most = max(alike, default=len(row)), int(width / (_LEAST_SHARED if shared else _LEAST_PANEL))
         across = -(-count // ceil(count / min(count, max(1, most), _MOST_ACROSS)))  # rows of equal length
-        if row[0].has_cells and count % across:
+        if is_map and count % across:
             across = 1
         first, column, deep, spanned = row[0].span
         height = tall * sum(sheet.heights[first : first + deep])
@@ -199,7 +200,7 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
             share = width / across / (wide * sum(sheet.widths[column : column + spanned]))
             height *= min(1.0, max(share, _LEAST_SHARE))
         height = min(height, width / across, _MOST_SQUARE) if row[0].square else height
-        height = min(height, _STACKED_MAP * width) if row[0].has_cells and across < count else height
+        height = min(height, _STACKED_MAP * width) if is_map and across < count else height
         for part in (row[k : k + across] for k in range(0, len(row), across)):
             parts.append((part, width / (across if alike else len(part)), height))  # no gap beside the last panel
     columns = lcm(*(round(width / each) for _, each, _ in parts))

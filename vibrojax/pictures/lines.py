@@ -190,6 +190,8 @@ def value_plots(facet: xr.Dataset, values: Sequence[Value], x: str) -> list[Plot
 def motion_keys(ds: xr.Dataset, values: Sequence[Value]) -> list[Key]:
     """Return the legend entries of what `value_plots` draws besides the lines of lanes that repeat."""
     keys: list[Key] = []
+    if not values:
+        return keys
     if any({f"{value.name}_min", f"{value.name}_max"} <= set(ds) for value in values):
         keys.append(Area(colour=FAINT, alpha=0.4, label="range of the blows"))
     if "cycles" in ds and bool((ds["cycles"] == 0).any()):

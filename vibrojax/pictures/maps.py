@@ -309,7 +309,7 @@ def regime_bars(ds: xr.Dataset) -> Sheet:
     panels = split_starts(ds)
     counts = [colours.regime_counts([facet[REGIME]]) for facet in panels.data]
     occurring, names = sorted(set().union(*counts)), colours.regime_names(ds[REGIME])
-    wide = min(len(panels), _MOST_BAR_COLUMNS)
+    wide = min(len(panels), 1 if is_narrow() else _MOST_BAR_COLUMNS)
     deep = -(-len(panels) // wide)
     shown = [colours.REGIME_COLOURS[flag] for flag in occurring]
     most = max((n for count in counts for n in count.values()), default=1)

@@ -223,8 +223,13 @@ class Plot:
 
     @property
     def has_cells(self) -> bool:
-        """True if the plot is a map."""
+        """True if the plot is a map of cells."""
         return any(isinstance(layer, Cells) for layer in self.layers)
+
+    @property
+    def is_map(self) -> bool:
+        """True if the plot is a map, of cells or of points."""
+        return self.has_cells or self.scale is not None
 
 
 @dataclass(frozen=True)

@@ -72,9 +72,9 @@ def campbell(ds: xr.Dataset) -> Sheet:
                     repeats = (
                         np.broadcast_to(line.lanes["cycles"].values > 0, along.shape) if named else ~np.isnan(values)
                     )
-                    look = _marks(marker) | nested(k)
-                    layers.append(dots(along[repeats], values[repeats], colour=line.colour, **look))
-                    layers.append(dots(along[~repeats], values[~repeats], colour=line.colour, **_MEAN))
+                    for shown, look in ((repeats, _marks(marker) | nested(k)), (~repeats, _MEAN)):
+                        if shown.any():
+                            layers.append(dots(along[shown], values[shown], colour=line.colour, **look))
         free = np.inf  # right of it, rays have their labels
         for order in range(1, _ORDERS + 1) if turns else ():
             layers.append(Line([0.0, 2 * high], [0.0, 2 * high * order / 60], FAINT, 0.6, order=1.0))
@@ -145,7 +145,7 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
                 along = np.geomspace(onset, float(np.nanmax(force)), _CURVE_POINTS)
                 values = law(along / threshold, float(group["C"]), float(group["eta0"]), np.nan)
                 layers.append(Line(of_force * along, factor * values, line.colour))
-            onsets.append(key("\n".join(filter(None, (line.name, text * few))), colour=line.colour, marker="o"))
+            onsets.append(key(":\n".join(filter(None, (line.name, text * few))), colour=line.colour, marker="o"))
         return Plot(layers, across, up)
 
     hollow = [dots(label="no penetration", face="white")] if bool((ds[RATE] == 0).any()) else []

@@ -183,7 +183,7 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
     if not standing and bool(((heights_of(ds, LARGEST, 1.0) < low) | (heights_of(ds, LARGEST, 1.0) > high)).any()):
         note = f"The largest modulus is drawn from {low:g} to {high:g}"
     about = margins(ds, ranges_text(ds, names), note, outside)
-    return Sheet(plots, (12.5, height), (1.75, 1.0), (1.0,) * len(names), keys, **about)
+    return Sheet(plots, (12.5, height), (1.75, 1.0), (1.0,) * len(names), keys, beside=False, **about)
 
 
 def _label(ds: xr.Dataset, name: str) -> str:
