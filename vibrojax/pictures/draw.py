@@ -1,5 +1,6 @@
 """Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
@@ -283,10 +284,11 @@ def _write_margins(figure: Figure, sheet: Sheet, tallest: float) -> None:
     wide, tall = max((box.width for box in boxes), default=0.0), max((box.height for box in boxes), default=0.0)
 
     def wrapped(text: str, font: FontProperties, beside: float, most: int) -> str:
-        """Wrap a text by the mean width of its letters; an ellipsis marks omitted text."""
+        """Wrap a text by the mean width of its letters; an ellipsis marks omitted text, and no value is broken."""
         length = float(renderer.get_text_width_height_descent(text, font, False)[0]) if text else 1.0
-        letters = len(text) * _TEXT_SHARE * (figure.bbox.width - beside) / length
-        return plain(fill(text, max(int(letters), 8), max_lines=most, placeholder="…"))
+        letters = max(int(len(text) * _TEXT_SHARE * (figure.bbox.width - beside) / length), 8)
+        text = re.sub(r" = (\S*\d)( (?=[^\W\d]))?", lambda x: x[0].replace(" ", "\u00a0"), text)
+        return plain(fill(text, letters, max_lines=most, placeholder="…").replace("\u00a0", " "))
 
     title_size, note_size = rcParams["figure.titlesize"], rcParams["legend.fontsize"]
     bold = FontProperties(size=title_size, weight="bold")

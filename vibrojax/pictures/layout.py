@@ -135,7 +135,7 @@ _NARROWEST, NARROW, _WIDEST = 1.5, 4.5, 40.0  # [inch]; a narrow picture shows f
 _LEAST_PANEL, _LEAST_SHARED = 1.5, 1.1  # least width [inch] of a panel with its labels, and with those of its row
 _LEAST_BESIDE = 2.0  # least width [inch] of a panel beside several rows
 _MARGINS = 1.4  # approximate height [inch] of title, legend and note of a narrow sheet
-_OUTSIDE, _BAR = 0.2, 0.5  # height [inch] of a panel's tick labels, and of its colour bar
+_BAR = 0.3  # height [inch] of a colour bar
 _STACKED_MAP = 0.65  # height of maps below each other, in units of their width
 _KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
 _MOST_ACROSS = 6
@@ -239,7 +239,5 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
     # A legend of the plot's own would be as wide as the plot.
     keys = "" if width < _KEYS_PANEL else plot.keys
     title = broken_title(plot.title, max(int(LETTERS * (width - 0.2)), 10))
-    inside = (
-        (min(height, _MAP_ASPECT * width) if plot.has_cells else height) - _OUTSIDE - _BAR * (plot.scale is not None)
-    )
+    inside = (min(height, _MAP_ASPECT * width) if plot.has_cells else height) - _BAR * (plot.scale is not None)
     return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, inside), keys=keys)
