@@ -129,7 +129,7 @@ def _estimates(ds: xr.Dataset) -> list[str]:
     for k, name in enumerate(signs.get(str(x), str(x)) for x in ds["parameter"].values):
         factor, unit = scale(_value(ds, k))
         columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high")
-        value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 5}g}" for x in columns)
+        value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 4}g}" for x in columns)
         bound = reasons[int(ds["reason"][k])] == "at-bound"
         line = f"{name} = {value}{' at its bound' if bound else f' ± {error}'} {pretty_unit(unit)}".rstrip()
         lines.append(f"{line}, 95 %: {low} to {high}")
