@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import Any, Literal
 
 import numpy as np
@@ -175,7 +175,7 @@ def _draw_layer(axes: Axes, layer: plots.Layer, plot: Plot) -> None:
         look: dict[str, Any] = {"marker": layer.marker, "linewidths": layer.edge_width, "hatch": layer.hatch or None}
         look |= {"edgecolors": layer.edge} if layer.edge else {}
         if len(x):
-            area: Any = np.square(layer.sizes)
+            area: Any = np.square(layer.sizes) * _type_scale() ** 2
             many = len(x) > _MANY_POINTS
             shown = axes.scatter(x, y, s=area, c=layer.colours, zorder=layer.order, rasterized=many, **look)
             shown.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
@@ -195,11 +195,16 @@ def _draw_layer(axes: Axes, layer: plots.Layer, plot: Plot) -> None:
         look = {"cmap": layer.colour_map, "norm": layer.norm, "zorder": layer.order, "rasterized": True}
         axes.pcolormesh(layer.x, layer.y, np.ma.masked_invalid(layer.values), **look)
     else:
-        size = layer.size * rcParams["font.size"] / _LABEL_SIZE
+        size = layer.size * _type_scale()
         look = {"ha": layer.align, "va": layer.baseline, "color": layer.colour, "fontsize": size}
         look |= {"xytext": layer.offset, "textcoords": "offset points", "zorder": layer.order} | stroke
         look |= {"xycoords": "axes fraction" if layer.relative else "data", "annotation_clip": False}
         axes.annotate(plain(layer.text), (layer.x, layer.y), **look)
+
+
+def _type_scale() -> float:
+    """Return the size of type and marks as a fraction of that in pictures that are not narrowed."""
+    return float(rcParams["font.size"] / _LABEL_SIZE)
 
 
 def _inside(values: plots.Places, axis: plots.Axis, edge: float = 1.0) -> np.ndarray:
@@ -212,7 +217,7 @@ def _inside(values: plots.Places, axis: plots.Axis, edge: float = 1.0) -> np.nda
 def _line_look(layer: plots.Line) -> dict[str, Any]:
     look: dict[str, Any] = {"color": layer.colour, "linewidth": layer.width, "linestyle": layer.dash or "none"}
     if layer.marker:
-        look |= {"marker": layer.marker, "markersize": layer.size, "markeredgewidth": layer.edge_width}
+        look |= {"marker": layer.marker, "markersize": layer.size * _type_scale(), "markeredgewidth": layer.edge_width}
         look |= {"markerfacecolor": layer.face or layer.colour, "markeredgecolor": layer.edge or layer.colour}
     return look | {"alpha": layer.alpha}
 
@@ -287,6 +292,8 @@ def _write_margins(figure: Figure, sheet: Sheet, tallest: float) -> None:
         """Wrap a text by the mean width of its letters; an ellipsis marks omitted text, and no value is broken."""
         length = float(renderer.get_text_width_height_descent(text, font, False)[0]) if text else 1.0
         letters = max(int(len(text) * _TEXT_SHARE * (figure.bbox.width - beside) / length), 8)
+        while most == _TITLE_LINES and letters > 8 and len(wrap(text, letters - 1)) == len(wrap(text, letters)):
+            letters -= 1  # lines of a title are of about equal length
         text = re.sub(r" = (\S*\d)( (?=[^\W\d]))?", lambda x: x[0].replace(" ", "\u00a0"), text)
         return plain(fill(text, letters, max_lines=most, placeholder="…").replace("\u00a0", " "))
 

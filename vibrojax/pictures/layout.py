@@ -189,7 +189,7 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
         shared = {plot.y.group for plot in row} == {row[0].y.group} != {""} and not is_map
         # Maps of one axis have equal widths, also in a row that is not full.
         alike = [len(other) for other in rows.values() if other[0].x.group == row[0].x.group != ""]
-        alike = alike if len(alike) > 1 else []
+        alike = alike if len(alike) > 1 and is_map else []
         count, most = max(alike, default=len(row)), int(width / (_LEAST_SHARED if shared else _LEAST_PANEL))
         across = -(-count // ceil(count / min(count, max(1, most), _MOST_ACROSS)))  # rows of equal length
         if is_map and count % across:
@@ -229,7 +229,7 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
         label = broken(of.label, letters)
         if label.count("\n") > 1:  # without the words before the symbol
             label = broken(" ".join(of.label.split()).rpartition(", ")[2], letters)
-        few = 3 if length < 1.0 else 4
+        few = 3 if length < 1.4 else 4
         intervals = min(of.intervals or few, few) if length < 2.2 else of.intervals
         texts = [text for _, text in of.ticks or ()]
         crowded = sum(len(text) + 2 for text in texts) > 1.2 * LETTERS * length and max(map(len, texts)) > 4

@@ -89,7 +89,8 @@ def _plot_along(ds: xr.Dataset, name: str) -> Plot:
     factor = scale(ds["map_objective"])[0]
     z = ds["map_objective"].values * factor
     lowest = float(np.nanmin(np.concatenate([z[fit], ds["objective"].values * factor])))
-    layers = [dots(x[fit], z[fit], colour=BIT, size=2.0), *_infeasible(x[~fit], np.full((~fit).sum(), lowest))]
+    feasible = dots(x[fit], z[fit], colour=BIT, size=2.0, label="map: feasible, without tolerances")
+    layers = [feasible, *_infeasible(x[~fit], np.full((~fit).sum(), lowest))]
     layers += _marks(values_along(ds[name]), ds["objective"].values * factor)
     return Plot(layers, axis(_named(ds, name)), Axis(_objective_label(ds)))
 
