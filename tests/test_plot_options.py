@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from drawn import LONG, basin, cells, lanes, line, plane, points, returns, sample, scales, sheet_of, square
+from drawn import LONG, basin, cells, lanes, line, plane, points, returns, rock, sample, scales, sheet_of, square
 from matplotlib.collections import QuadMesh
 from refusals import command_refusal, refusal
 
@@ -16,6 +16,7 @@ from vibrojax.errors import InputError
 from vibrojax.measures.labels import SINGLE_IMPACT
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.draw import draw
+from vibrojax.pictures.layout import in_width
 from vibrojax.pictures.plots import Line, Plot, Sheet, Text, dots, key
 from vibrojax.pictures.selection import select
 from vibrojax.studies.choose import picture, requested
@@ -166,6 +167,17 @@ def test_short_legend_does_not_narrow_the_panels():
         figure.draw_without_rendering()
         low, high = sides
         assert low <= figure.legends[0].get_window_extent().x0 / figure.bbox.width <= high
+
+
+@pytest.mark.parametrize(
+    "grid", [{"k3": [1e8, 3e8], "force": [1e5, 2e5, 3e5], "frequency": np.linspace(10, 40, 9)}, None]
+)
+def test_narrow_sheet_has_no_empty_place(grid):
+    """Of three panels in a row, the last one has the width of a journal's column; three maps are below each other."""
+    sheet = in_width(sheet_of(rock(grid) if grid else lanes(square(8), ("drive",))), 85 / 25.4)
+    assert sum(plot.span[2] * plot.span[3] for plot in sheet.plots) == len(sheet.heights) * len(sheet.widths)
+    widths = {plot.span[3] / len(sheet.widths) for plot in sheet.plots}
+    assert widths == ({0.5, 1.0} if grid else {1.0})
 
 
 # The designer's chart.
