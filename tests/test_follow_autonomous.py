@@ -6,6 +6,7 @@ from systems import IMPACT_OSCILLATOR, VAN_DER_POL, mass, one_state
 
 import vibrojax as vj
 from vibrojax.cli import main
+from vibrojax.studies.family_analysis import families
 
 E = vj.elementary
 
@@ -95,6 +96,9 @@ def test_equilibria_have_hopf_and_branch_points(standing):
     third = np.where(branch == 1, -2 * (m - 0.5), m - 0.5)
     expected = -np.sort(-np.stack([m, m, third], axis=1), axis=1)
     assert standing.eigenvalue_re.values == pytest.approx(expected, abs=1e-7)
+    plane = families(standing).plots[-1]  # each axis fits its values
+    greatest = np.abs(expected[branch == 0]).max()
+    assert (plane.x.limits[1], plane.y.limits[1]) == pytest.approx((1.1 * greatest, 1.1 * 1.5), rel=1e-6)
     assert np.abs(standing.eigenvalue_im.values).max(axis=1) == pytest.approx(1.5, abs=1e-12)
     assert np.array_equal(standing.stable.values == 1, (expected < 0).all(axis=1))
     with pytest.raises(vj.InputError, match="holds equilibria"):

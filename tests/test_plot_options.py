@@ -5,13 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn import LONG, basin, cells, lanes, line, plane, points, returns, sample, scales, sheet_of, square
+import xarray as xr
+from drawn import LONG, basin, cells, lanes, line, plane, points, returns, rock, sample, scales, sheet_of, square
 from matplotlib.collections import QuadMesh
 from refusals import command_refusal, refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import InputError
+from vibrojax.measures.labels import SINGLE_IMPACT
+from vibrojax.pictures.chart import chart
+from vibrojax.pictures.draw import draw
+from vibrojax.pictures.layout import in_width
+from vibrojax.pictures.plots import Line, Plot, Sheet, Text, dots, key
 from vibrojax.pictures.selection import select
 from vibrojax.studies.choose import picture, requested
 
@@ -148,3 +154,57 @@ def test_command_does_not_replace_other_pictures(written, capsys):
     written.with_name("map-magma.png").write_bytes(b"of something else")
     assert name_of("--colours", "magma") == "map-magma-2.png"
     assert written.with_name("map-magma.png").read_bytes() == b"of something else"
+
+
+# Legends.
+
+
+def test_short_legend_does_not_narrow_the_panels():
+    """A legend of one entry is below the panel, which has the width of the sheet; one of the panel's height is not."""
+    for count, sides in ((1, (0.0, 0.5)), (20, (0.5, 1.0))):
+        keys = [[key(f"the entry of a legend {k}") for k in range(count)]]
+        figure = draw(Sheet([Plot([dots([0, 1], [0, 1])])], (5.0, 4.0), keys=keys))
+        figure.draw_without_rendering()
+        low, high = sides
+        assert low <= figure.legends[0].get_window_extent().x0 / figure.bbox.width <= high
+
+
+@pytest.mark.parametrize(
+    "grid", [{"k3": [1e8, 3e8], "force": [1e5, 2e5, 3e5], "frequency": np.linspace(10, 40, 9)}, None]
+)
+def test_narrow_sheet_has_no_empty_place(grid):
+    """Of three panels in a row, the last one has the width of a journal's column; three maps are below each other."""
+    sheet = in_width(sheet_of(rock(grid) if grid else lanes(square(8), ("drive",))), 85 / 25.4)
+    assert sum(plot.span[2] * plot.span[3] for plot in sheet.plots) == len(sheet.heights) * len(sheet.widths)
+    widths = {plot.span[3] / len(sheet.widths) for plot in sheet.plots}
+    assert widths == ({0.5, 1.0} if grid else {1.0})
+
+
+# The designer's chart.
+
+
+def test_star_of_chart_is_robust_within_the_map():
+    """Everywhere is a single impact, strongest at the edge, where cells are not known to be robust."""
+    grid = np.linspace(0.3, 0.7, 5)
+    energy = 100 + 1000 * np.add.outer(grid, grid)
+    penetrated = 0 * energy + np.where(np.arange(5) == 0, 0.1, 0.0)  # only in cells that are not robust
+    table = {"regime": np.full((5, 5), SINGLE_IMPACT), "impact_energy": energy, "blow_frequency": 0 * energy + 260.0}
+    table = {name: (("beta", "gamma"), x) for name, x in (table | {"rate_of_penetration": penetrated}).items()}
+    sheet = chart(xr.Dataset(table, {"beta": grid, "gamma": grid}))
+    assert np.argwhere(sheet.plots[0].layers[0].values == 2).tolist() == [[i, j] for i in (1, 2, 3) for j in (1, 2, 3)]
+    assert "Best robust cell, by impact energy at worst within the tolerance: gamma = 0.6, beta = 0.6" in sheet.note
+    assert "robust: also within\ngamma ± 0.1, beta ± 0.1" in [layer.label for layer in sheet.keys[0]]
+    assert sheet.title.startswith("Designer's chart")
+    coloured = [layer for layer in sheet.plots[0].layers if getattr(layer, "colour", "") == "#9A3B00"]
+    lines, values = ([layer for layer in coloured if isinstance(layer, kind)] for kind in (Line, Text))
+    assert len(lines) == len(values) > 2  # no line of the energy is without its value
+
+
+def test_chart_ends_one_cell_beyond_the_single_impacts():
+    where = np.zeros((9, 9), bool)
+    where[3:6, 2:7] = True
+    table = {"regime": np.where(where, SINGLE_IMPACT, 6), "impact_energy": 1.0 + where, "blow_frequency": 1.0 + where}
+    grid = np.arange(1.0, 10.0)
+    ds = xr.Dataset({k: (("beta", "gamma"), v) for k, v in table.items()}, {"beta": grid, "gamma": grid})
+    shown = chart(ds).plots[0].layers[0]
+    assert shown.values.shape == (5, 7) and (shown.x[0], shown.y[0]) == (1.5, 2.5)

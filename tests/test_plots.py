@@ -15,13 +15,13 @@ from refusals import refusal
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.io.variables import REGIMES
-from vibrojax.measures.labels import SINGLE_IMPACT
 from vibrojax.pictures.axes import broken_title, value_text
 from vibrojax.pictures.branches import branches, places, stability, stable_intervals
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.colours import REGIME_COLOURS
 from vibrojax.pictures.contents import Contents, returns_in
 from vibrojax.pictures.draw import draw
+from vibrojax.pictures.hole import pulses
 from vibrojax.pictures.motion import trajectory
 from vibrojax.pictures.plots import Area, Bars, Points, Text
 from vibrojax.pictures.returns import bifurcation
@@ -33,10 +33,10 @@ from vibrojax.studies.rop_law import fit_rop
 # One picture per rule.
 
 
-def bit_on_rock(count=400, **attributes):
-    """Return a run of the bit on rock with twenty pulses per second, and a hole that grows."""
+def bit_on_rock(count=400, pulses=20, **attributes):
+    """Return a second of the bit on rock under pulses, with a hole that grows."""
     time = np.linspace(0.0, 1.0, count)
-    force = 2e5 * (np.sin(40 * np.pi * time) > 0)
+    force = 2e5 * (np.sin(2 * pulses * np.pi * time) > 0)
     depth = 1e-3 * time
     series = {"x3": depth + 1e-5 * force / 2e5, "x4": depth, "applied_force": force, "rock_force": 0.5 * force}
     return xr.Dataset({name: ("time", x) for name, x in series.items()}, {"time": time}, attributes)
@@ -175,7 +175,7 @@ def test_first_rule_that_fits_draws_texts_without_overlap(name):
     assert first_rule(ds) == name
     check_texts(picture(ds.assign_attrs(title=f"{ds.attrs.get('title', 'A drill')} " * 12)))
     column = picture(ds, width="85mm")
-    assert column.get_figwidth() == pytest.approx(85 / 25.4)
+    assert column.get_figwidth() == pytest.approx(85 / 25.4) and column.get_figheight() <= 235 / 25.4
     check_texts(column)
 
 
@@ -207,6 +207,7 @@ def test_titles_break_between_words():
     title = "start drive: 14 % of the plane"
     assert broken_title(title, 24) == "start drive:\n14 % of the plane"
     assert broken_title(title, 12).split() == title.split()
+    assert broken_title("upper\nC = 21.5 ± 0.7 m/h", 24) == "upper\nC = 21.5 ± 0.7 m/h"
 
 
 def test_maps_show_lanes_named_in_their_titles():
@@ -289,6 +290,10 @@ def test_one_axis_gives_line_per_start_above_regimes():
     assert [text for _, text in strip.y.ticks] == ["drive", "stuck"]
     assert np.array_equal(strip.layers[0].values, ds["regime"].sel(delta=-0.005).transpose("start", "gamma"))
     assert {"start: drive", "start: stuck"} <= set(labels(sheet))
+    hollow = lanes({"gamma": np.linspace(0.3, 1.2, 11)}, ("drive",))
+    hollow["cycles"] = (hollow["gamma"] < 0.5) & (hollow["start"] == "drive")
+    (_, means), shown = (sheet_of(hollow).plots[0].layers, labels(sheet_of(hollow)))
+    assert means.x.tolist() == hollow["gamma"].values[3:].tolist() and "mean: does not repeat" in shown
 
 
 def test_diagram_of_each_start_is_over_those_of_others():
@@ -319,6 +324,13 @@ def test_unusual_runs_are_drawn_or_refused():
     for ds, message in ((run().drop_vars("v2"), "v2"), (run().isel(time=slice(5)), "5 finite samples")):
         with pytest.raises(InputError, match=message):
             trajectory(ds)
+
+
+def test_long_run_on_rock_shows_its_last_blows():
+    whole, *panels = pulses(bit_on_rock(40_000, 400)).plots
+    left, right = (plot.x.limits[0] for plot in panels[:2])
+    assert whole.x.limits == (0.0, 1.0) and right - left == pytest.approx(8 / 400, abs=1e-4)
+    assert not any(isinstance(layer, Area) and layer.step for plot in panels for layer in plot.layers)
 
 
 # Families.
@@ -377,6 +389,7 @@ def test_studies_show_their_numbers():
     assert square_marks.x.tolist() == [0.3, 0.5] and {"best candidate", "other candidates", "map: not feasible"} <= set(
         labels(sheet_of(BEST))
     )
+    assert sheet_of(SLOPES).plots[0].scale.label == "elasticity"
     texts_shown = [layer.text for layer in sheet_of(SLOPES).plots[0].layers[1:]]
     assert texts_shown == ["0.2", "−0.7"]
     drive, any_start = sheet_of(BORDERS).plots
@@ -387,19 +400,6 @@ def test_studies_show_their_numbers():
     assert tops == [pytest.approx([70.0, 100.0]), pytest.approx([100.0, 100.0])]
     with pytest.raises(InputError, match="chart: the dataset holds no impacts over a grid"):
         chart(ATTRACTORS)
-
-
-def test_star_of_chart_is_robust_within_the_map():
-    """Everywhere is a single impact, strongest at the edge, where cells are not known to be robust."""
-    grid = np.linspace(0.3, 0.7, 5)
-    energy = 100 + 1000 * np.add.outer(grid, grid)
-    penetrated = 0 * energy + np.where(np.arange(5) == 0, 0.1, 0.0)  # only in cells that are not robust
-    table = {"regime": np.full((5, 5), SINGLE_IMPACT), "impact_energy": energy, "blow_frequency": 0 * energy + 260.0}
-    table = {name: (("beta", "gamma"), x) for name, x in (table | {"rate_of_penetration": penetrated}).items()}
-    sheet = chart(xr.Dataset(table, {"beta": grid, "gamma": grid}))
-    assert np.argwhere(sheet.plots[0].layers[0].values == 2).tolist() == [[i, j] for i in (1, 2, 3) for j in (1, 2, 3)]
-    assert "Best robust cell, by impact energy at worst within the tolerance: gamma = 0.6, beta = 0.6" in sheet.note
-    assert "robust: also within\ngamma ± 0.1,\nbeta ± 0.1" in [layer.label for layer in sheet.keys[0]]
 
 
 # Words of axes and notes.
@@ -414,6 +414,7 @@ def test_rows_beyond_the_panel_of_a_fit_are_counted():
     }
     fit = fit_rop(xr.Dataset({name: ("frequency", values) for name, values in data.items()}), progress=False)
     (plot,) = sheet_of(fit).plots
+    assert "η = P/D, the mean force over the threshold" in sheet_of(fit).note
     assert plot.x.label == "relief P/D\n2 beyond" and {"data", "left out of the fit"} <= {*labels(sheet_of(fit))}
 
 

@@ -10,7 +10,7 @@ import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.explorer import contents_of
 from vibrojax.measures.labels import IRREGULAR, SINGLE_IMPACT
-from vibrojax.studies.push import Pushes
+from vibrojax.studies.push import Pushes, smallest_pushes
 
 PARAMETERS = {"beta": 0.4, "delta": 0.005}
 STATES = ("x1", "v1", "x2", "v2")
@@ -85,6 +85,18 @@ def test_page_shows_motions_on_cycle_and_after_push(strong_cycle):
     assert after_push.kind == "motion"
     bars = contents.document["figure"]["plots"][0]
     assert bars["x"]["direction"] == "sign" and bars["at"] == {"motion": 1}
+
+
+def test_machines_over_two_parameters_have_one_line_for_each_value_of_the_second():
+    """Of two frequency ratios and three mass ratios, the latter are the abscissa."""
+    gamma, beta = np.repeat([0.7, 0.8], 3), np.tile([0.4, 0.3, 0.5], 2)
+    shown = {"push_x1": (("sign", "point"), np.array([beta + gamma] * 2)), "bound_x1": ("point", 2 + 0 * beta)}
+    machines = {"gamma": ("point", gamma), "beta": ("point", beta), "sign": [-1, 1]}
+    sheet = smallest_pushes(xr.Dataset(shown, machines))
+    line = sheet.plots[0].layers[0]
+    np.testing.assert_allclose(line.x, [0.3, 0.4, 0.5, np.nan, 0.3, 0.4, 0.5])
+    np.testing.assert_allclose(line.y, [1.0, 1.1, 1.2, np.nan, 1.1, 1.2, 1.3])
+    assert "One line for each value of gamma" in sheet.note
 
 
 def test_invalid_requests_are_refused():

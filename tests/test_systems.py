@@ -65,7 +65,9 @@ def test_section_can_lie_at_value_and_regimes_can_be_renamed():
     assert names_of(motion) == ["ticking"]
     assert float(motion.period) == pytest.approx(6.3807, abs=2e-3)  # van der Pol, mu = 0.5
     assert float(motion.x[0]) == pytest.approx(0.1) and float(motion.x.max()) == pytest.approx(2.0, abs=0.02)
-    assert "Drawn: the last ten periods, grey: the whole motion" in vj.picture(motion).get_supxlabel()
+    figure = vj.picture(motion)
+    shown = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert shown == ["whole motion", "the last ten periods"] and "mu = 0.5" in figure.get_supxlabel()
     assert motion.x.interp(time=events_of(motion, "section")[-3:]).values == pytest.approx([0.5] * 3, abs=1e-4)
 
 

@@ -37,6 +37,7 @@ _PREFIXED = {
 # The parameters that every note lists, besides those that differ from their defaults.
 _LISTED = "beta", "gamma", "v", "delta", "force", "bias", "frequency", "pulse_width", "threshold", "k3", "zeta"
 
+_MOST_OWN = 8  # parameters of a user's own system that a note lists
 _USUAL_FRICTION = "stribeck"  # notes omit this friction law
 
 
@@ -97,18 +98,24 @@ def label(data: xr.DataArray, letters: int = _LABEL_LETTERS) -> str:
 
 
 def broken(text: str, letters: int) -> str:
-    """Return a text in lines of at most `letters` characters; none breaks a unit, or begins with a short one."""
-    unbroken = re.sub(r" (\[[^]]*\])", _keep_unit, " ".join(text.split()))
+    """Return a text in lines of at most `letters` characters; none breaks a unit, or begins with a short one.
+
+    A line begins with a short unit if the word before it leaves no room.
+    """
+
+    def keep(unit: re.Match[str]) -> str:
+        beside = len(unit[2]) <= _SHORT_UNIT and len(unit[0]) <= letters
+        return unit[1] + ("\u00a0" if beside else " ") + unit[2].replace(" ", "\u00a0")
+
+    unbroken = re.sub(r"(\S+) (\[[^]]*\])", keep, " ".join(text.split()))
     return fill(unbroken, max(letters, 8), break_long_words=False).replace("\u00a0", " ")
-
-
-def _keep_unit(unit: re.Match[str]) -> str:
-    return (" " if len(unit[1]) > _SHORT_UNIT else "\u00a0") + unit[1].replace(" ", "\u00a0")
 
 
 def broken_title(text: str, letters: int) -> str:
     """Return a title in lines of at most `letters` characters, broken between its parts if they are short enough."""
-    unbroken = re.sub("([,:])\u00a0", r"\1 ", text.replace("\n", " ").replace(" ", "\u00a0"))
+    if "\n" in text:
+        return "\n".join(broken_title(line, letters) for line in text.splitlines())
+    unbroken = re.sub("([,:])\u00a0", r"\1 ", text.replace(" ", "\u00a0"))
     parts = fill(unbroken, letters, break_long_words=False).replace("\u00a0", " ")
     return parts if max(map(len, parts.splitlines()), default=0) <= letters else fill(text, letters)
 
@@ -187,6 +194,8 @@ def point_text(ds: xr.Dataset) -> str:
     about = {} if scene is None else scene().parameters()
     listed = [name for name in _LISTED if name in about and name in values]
     records = {name: (about[name].symbol, about[name].unit, values[name]) for name in listed}
+    if scene is None:  # of the user's own: the file does not state the units
+        records = {printable(x, 40): (printable(x, 40), "", values[x]) for x in [*values][:_MOST_OWN]}
     for x in differing_of(ds):
         records.setdefault(x["name"], (printable(x["symbol"], 40), printable(x["units"], 40), x["value"]))
     for name, (sign, unit, value) in records.items():

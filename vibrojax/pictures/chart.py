@@ -12,6 +12,7 @@ from vibrojax.lazy import colors, ticker
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures import axes
 from vibrojax.pictures.contents import POINT, REGIME, START, axes_of_map, lane_dims, without_single
+from vibrojax.pictures.layout import is_narrow
 from vibrojax.pictures.maps import contours, region
 from vibrojax.pictures.plots import INK, Cells, Dash, Key, Layer, Plot, Sheet, dots, patch
 from vibrojax.pictures.style import IMPACT
@@ -32,7 +33,8 @@ _LINES = {
 _AIMS = ("rate_of_penetration", "impact_power", "impact_energy")
 _WORST_IS_GREATEST = {"peak_impact_force"}
 _DASHES: tuple[Dash, ...] = ("-", "--")
-_LEVELS = 9  # approximate number of lines of a quantity
+_LEVELS = 7  # approximate number of lines of a quantity
+_BEYOND = 1  # cells around the single impacts
 
 
 def chart(ds: xr.Dataset) -> Sheet:
@@ -42,6 +44,7 @@ def chart(ds: xr.Dataset) -> Sheet:
     At the edge of the map, that is not known. The impact may differ from cell to cell, so the star is the robust cell
     whose worst value among these nine cells is best: of the rate of penetration, else of the power, else of the energy.
     Lines are the impact energy, the peak force, the rate of penetration or the impact power, and the blows per minute.
+    The chart ends one cell beyond the single impacts.
 
     **Raises:** `InputError` if the dataset has no single impacts over two axes.
     """
@@ -54,25 +57,32 @@ def chart(ds: xr.Dataset) -> Sheet:
     ds = ds.transpose(y, x, ...).sortby([x, y])
     single = _single(ds)
     robust = binary_erosion(single, _BOX)
+    if single.any():
+        around = tuple(slice(max(at.min() - _BEYOND, 0), at.max() + _BEYOND + 1) for at in np.nonzero(single))
+        ds, single, robust = ds.isel({y: around[0], x: around[1]}), single[around], robust[around]
     names = [[name for name in group if name in ds and bool((ds[name] > 0).any())] for group in _PANELS]
     names[1] = list(dict.fromkeys((*names[1][:1], *names[1][-1:])))  # of rate and power only the first
     aim, best = _best(ds, robust)
     marks = region(ds[x], ds[y])
+    place: tuple[float, ...] = ()
     if best is not None:
-        place = [[float(axes.values_along(ds[name])[k])] for name, k in zip((x, y), best[::-1], strict=True)]
-        star = {"marker": "*", "size": 14.0, "colour": IMPACT, "edge": "white", "clip": False, "order": 5.0}
-        marks.append(dots(*place, label="best robust cell", **star))
-    tolerance = ",\n".join(f"{axes.symbol(ds[name])} ± {_step(ds[name])}" for name in (x, y))
+        place = tuple(float(axes.values_along(ds[name])[k]) for name, k in zip((x, y), best[::-1], strict=True))
+        look = {"marker": "*", "size": 14.0, "colour": IMPACT, "edge": "white", "clip": False, "order": 5.0}
+        marks.append(dots(*([along] for along in place), label="best robust cell", **look))
+    tolerance = ", ".join(f"{axes.symbol(ds[name])} ± {_step(ds[name])}" for name in (x, y))
     regions = {_ROBUST: f"robust: also within\n{tolerance}", _SINGLE: "the same single impact\nfrom every start"}
     regions[_OTHER] = "other motions"
     keys: list[Key] = [patch(colour, words, edge=INK) for colour, words in regions.items()]
     keys += [replace(mark, x=(), y=()) for mark in marks]
     extra = [replace(mark, label="") for mark in marks]
-    plots = [_panel(ds, (x, y), single.astype(int) + robust, group) for group in names]
-    plots = [replace(plot, layers=[*plot.layers, *extra], place=(0, k)) for k, plot in enumerate(plots)]
+    plots = [_panel(ds, (x, y), single.astype(int) + robust, group, place) for group in names]
+    step = -1 if is_narrow() else 1  # below each other
+    plots = [replace(plot, layers=[*plot.layers, *extra], place=(0, k)[::step]) for k, plot in enumerate(plots)]
     note = "No cell is robust" if best is None else _best_text(ds, (x, y), aim, best, names)
     about = axes.margins(ds, "Values are the worst over the starts" if START in ds.dims else "", note)
-    return Sheet(plots, (14.2, 5.2), keys=[keys], **about)
+    about["title"] = f"Designer's chart: {about['title']}"
+    size = (14.2, 5.2) if step > 0 else (5.0, 7.6)
+    return Sheet(plots, size, keys=[keys], beside=False, **about)
 
 
 def _step(data: xr.DataArray) -> str:
@@ -117,24 +127,26 @@ def _best_text(ds: xr.Dataset, over: tuple[str, str], aim: str, best: tuple[int,
     words = []
     for name in dict.fromkeys((*names[0], aim, *names[1])):
         factor, unit = axes.scale(ds[name])
-        words.append(f"{_LINES[name][0]} {axes.number(factor * _worst(ds, name)[best])} {axes.pretty_unit(unit)}")
+        value = float(f"{factor * _worst(ds, name)[best]:.3g}")
+        words.append(f"{_LINES[name][0]} {axes.number(value)} {axes.pretty_unit(unit)}")
     return f"Best robust cell, by {_LINES[aim][0]} at worst within the tolerance: {place}; {', '.join(words)}"
 
 
-def _panel(ds: xr.Dataset, over: tuple[str, str], kinds: np.ndarray, names: list[str]) -> Plot:
+def _panel(ds: xr.Dataset, over: tuple[str, str], kinds: np.ndarray, names: list[str], star: tuple[float, ...]) -> Plot:
     x, y = (axes.values_along(ds[name]) for name in over)
     colours = colors.ListedColormap([_OTHER, _SINGLE, _ROBUST])
     layers: list[Layer] = [
         Cells(axes.edges(x), axes.edges(y), kinds.astype(float), colours, colors.Normalize(0.0, 2.0))
     ]
-    taken: list[np.ndarray] = []
+    within = binary_erosion(kinds > 0, _BOX, border_value=1)  # without the jumps to other motions
+    taken = [(np.asarray(star) - (x[0], y[0])) / (np.ptp(x), np.ptp(y))] if star else []
     for name, dash in zip(names, _DASHES, strict=False):
-        z = np.where(kinds == 2, axes.scale(ds[name])[0] * _worst(ds, name), np.nan)
+        z = np.where(within, axes.scale(ds[name])[0] * _worst(ds, name), np.nan)
         known = z[np.isfinite(z)]
         if known.size > 1 and np.ptp(known) and min(z.shape) > 1:
             levels = list(ticker.MaxNLocator(_LEVELS).tick_values(known.min(), known.max()))
             words, colour = _LINES[name]
             label = axes.with_unit(words, axes.scale(ds[name])[1])
-            layers += contours(x, y, z, levels, taken, colour=colour, dash=dash, width=1.1, label=label)
+            layers += contours(x, y, z, levels, taken, True, colour=colour, dash=dash, width=1.1, label=label)
     across, up = axes.axis(ds[over[0]]), axes.axis(ds[over[1]], group="y")
     return Plot(layers, across, up, keys="above", key_columns=2, grid="")

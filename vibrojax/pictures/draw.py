@@ -1,8 +1,10 @@
 """Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from io import BytesIO
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import Any, Literal
 
 import numpy as np
@@ -22,19 +24,21 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from vibrojax.pictures import plots
 from vibrojax.pictures.axes import broken
-from vibrojax.pictures.layout import LETTERS, WIDTH, in_width
+from vibrojax.pictures.layout import LETTERS, NARROW, TALLEST, WIDTH, in_width
 from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import NO_VALUE, plain, settings
 
 # Sizes of type where panels are made narrower.
 _SMALL = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 7.5)
-_SMALL |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 6.5)
-_TITLE_SIZE, _NOTE_SIZE = 11.0, 8.0
+_SMALL |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 6.5) | {"figure.titlesize": 9.0}
+_LABEL_SIZE = 9.0  # of pictures that are not narrowed, to which sizes of texts refer
+_MOST_UNUSED = 0.12  # area below a legend at the right, as a fraction of the sheet, above which it is below the plots
+_ONE_LINE = 44  # letters of a legend entry that fit on a line below the plots
 _ROUND_STEPS = [1, 2, 5, 10]
-# Greatest number of intervals between the ticks of a colour bar, also of a narrow one: more labels would touch.
-_BAR_INTERVALS, _FEW_INTERVALS = 6, 3
+_BAR_INTERVALS, _INTERVALS_PER_INCH = 6, 2.4  # between the ticks of a colour bar, whose labels would touch else
 _BAR_ASPECT = 24.0  # length over width of a colour bar below one panel
 _FEW_DECADES = 1e3  # ratio of the ends of a logarithmic axis below which 1, 2 and 5 have labels, as plain numbers
+_FEW_TICKS = 4  # intervals up to which such an axis of more than as many decades has only powers of ten
 _DASHED_LENGTH = 2.8  # length of a dashed line in the legend, in units of the font size: two dashes or more
 _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
@@ -79,8 +83,8 @@ def draw(picture: plots.Picture | Figure) -> Figure:
         sheet = in_width(sheet, width) if width else sheet
         figure = new_figure(*sheet.size)
         _draw_plots(figure, sheet)
-        _draw_legend(figure, sheet)
-        _write_margins(figure, sheet)
+        sheet = _draw_legend(figure, sheet)
+        _write_margins(figure, sheet, TALLEST if width else np.inf)
         # Ticks are created when the figure is rendered, under the user's settings.
         for axes in figure.axes:
             axes.tick_params(labelsize=rcParams["xtick.labelsize"])
@@ -101,16 +105,16 @@ def _draw_plots(figure: Figure, sheet: Sheet) -> None:
     for value in {id(plot.scale): plot.scale for plot in shown if plot.scale is not None}.values():
         below = [axes for axes, plot in zip(panels, shown, strict=True) if plot.scale is value]
         columns = {plot.place[1]: plot.span[3] for plot in shown if plot.scale is value}
-        letters = int(LETTERS * sheet.size[0] * sum(columns.values()) / len(sheet.widths))
-        intervals = _BAR_INTERVALS if sheet.beside else _FEW_INTERVALS
-        _draw_scale(figure, below, value, broken(value.label, letters), _BAR_ASPECT * len(columns), intervals)
+        length = sheet.size[0] * sum(columns.values()) / len(sheet.widths)
+        label, intervals = broken(value.label, int(LETTERS * length)), int(_INTERVALS_PER_INCH * length)
+        _draw_scale(figure, below, value, label, _BAR_ASPECT * len(columns), min(intervals, _BAR_INTERVALS))
 
 
 def _draw_plot(axes: Axes, plot: Plot, shown: Sequence[Plot]) -> None:
     for layer in plot.layers:
         _draw_layer(axes, layer, plot)
-    row, column = plot.place[:2]
-    same_column = [p for p in shown if p.x.group == plot.x.group != "" and p.place[1] == column]
+    row, column, _, wide = plot.span
+    same_column = [p for p in shown if p.x.group == plot.x.group != "" and p.span[1::2] == (column, wide)]
     same_row = [p for p in shown if p.y.group == plot.y.group != "" and p.place[0] == row]
     _draw_axis(axes, "x", plot.x, outer=not any(p.place[0] > row for p in same_column))
     _draw_axis(axes, "y", plot.y, outer=not any(p.place[1] < column for p in same_row))
@@ -121,7 +125,7 @@ def _draw_plot(axes: Axes, plot: Plot, shown: Sequence[Plot]) -> None:
     bold: dict[str, Any] = {"color": plot.title_colour, "fontweight": "bold"} if plot.title_colour else {}
     is_centred = plot.has_cells or plot.square or bool(bold)
     axes.set_title(plain(plot.title), loc="center" if is_centred else "left", **bold)
-    axes.set_title(plain(plot.remark), loc="right", fontsize=8)
+    axes.set_title(plain(plot.remark), loc="right", fontsize=rcParams["legend.fontsize"])
     if plot.keys:
         place: dict[str, Any] = {"loc": plot.keys}
         if plot.keys in _ABOVE:
@@ -137,7 +141,8 @@ def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: plots.Axis, outer: b
     if shown.log:
         axes.set(**{f"{which}scale": "log"})
         if low and high and high / low < _FEW_DECADES:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            few = 0 < shown.intervals < high / low / 10.0 and shown.intervals <= _FEW_TICKS
+            axis.set_major_locator(LogLocator(subs=(1.0,) if few else (1.0, 2.0, 5.0)))
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     elif shown.intervals:
@@ -170,7 +175,7 @@ def _draw_layer(axes: Axes, layer: plots.Layer, plot: Plot) -> None:
         look: dict[str, Any] = {"marker": layer.marker, "linewidths": layer.edge_width, "hatch": layer.hatch or None}
         look |= {"edgecolors": layer.edge} if layer.edge else {}
         if len(x):
-            area: Any = np.square(layer.sizes)
+            area: Any = np.square(layer.sizes) * _type_scale() ** 2
             many = len(x) > _MANY_POINTS
             shown = axes.scatter(x, y, s=area, c=layer.colours, zorder=layer.order, rasterized=many, **look)
             shown.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
@@ -190,10 +195,16 @@ def _draw_layer(axes: Axes, layer: plots.Layer, plot: Plot) -> None:
         look = {"cmap": layer.colour_map, "norm": layer.norm, "zorder": layer.order, "rasterized": True}
         axes.pcolormesh(layer.x, layer.y, np.ma.masked_invalid(layer.values), **look)
     else:
-        look = {"ha": layer.align, "va": layer.baseline, "color": layer.colour, "fontsize": layer.size}
+        size = layer.size * _type_scale()
+        look = {"ha": layer.align, "va": layer.baseline, "color": layer.colour, "fontsize": size}
         look |= {"xytext": layer.offset, "textcoords": "offset points", "zorder": layer.order} | stroke
         look |= {"xycoords": "axes fraction" if layer.relative else "data", "annotation_clip": False}
         axes.annotate(plain(layer.text), (layer.x, layer.y), **look)
+
+
+def _type_scale() -> float:
+    """Return the size of type and marks as a fraction of that in pictures that are not narrowed."""
+    return float(rcParams["font.size"] / _LABEL_SIZE)
 
 
 def _inside(values: plots.Places, axis: plots.Axis, edge: float = 1.0) -> np.ndarray:
@@ -206,7 +217,7 @@ def _inside(values: plots.Places, axis: plots.Axis, edge: float = 1.0) -> np.nda
 def _line_look(layer: plots.Line) -> dict[str, Any]:
     look: dict[str, Any] = {"color": layer.colour, "linewidth": layer.width, "linestyle": layer.dash or "none"}
     if layer.marker:
-        look |= {"marker": layer.marker, "markersize": layer.size, "markeredgewidth": layer.edge_width}
+        look |= {"marker": layer.marker, "markersize": layer.size * _type_scale(), "markeredgewidth": layer.edge_width}
         look |= {"markerfacecolor": layer.face or layer.colour, "markeredgecolor": layer.edge or layer.colour}
     return look | {"alpha": layer.alpha}
 
@@ -221,25 +232,35 @@ def _handle(key: plots.Key) -> Artist:
     return Patch(label=plain(key.label), **look)
 
 
-def _draw_legend(figure: Figure, sheet: Sheet) -> None:
-    """Draw one legend at the right of all plots, with gaps between its groups, or below them in columns that fit."""
+def _draw_legend(figure: Figure, sheet: Sheet) -> Sheet:
+    """Draw one legend at the right of all plots, with gaps between its groups, or below them in columns that fit.
+
+    Return the sheet with the place of its legend: below the plots also if most of the sheet below it would stay unused.
+    """
     groups = [[_handle(layer) for layer in group] for group in plots.legend_of(sheet)]
     if not groups:
-        return
+        return sheet
+    renderer = FigureCanvasAgg(figure).get_renderer()
     if sheet.beside:
         gap = Line2D([], [], linestyle="none", label=" ")
         handles = [handle for group in groups for handle in (gap, *group)][1:]
         dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
         length = _DASHED_LENGTH if dashed else rcParams["legend.handlelength"]
-        figure.legend(handles=handles, loc="outside right upper", handlelength=length)
-        return
+        legend = figure.legend(handles=handles, loc="outside right upper", handlelength=length)
+        box = legend.get_window_extent(renderer)
+        if box.width * (figure.bbox.height - box.height) <= _MOST_UNUSED * figure.bbox.width * figure.bbox.height:
+            return sheet
+        legend.remove()
     handles = [handle for group in groups for handle in group]
-    renderer = FigureCanvasAgg(figure).get_renderer()
+    for handle in handles if sheet.size[0] > NARROW else ():
+        label = str(handle.get_label())
+        handle.set_label(label.replace("\n", " ") if len(label) <= _ONE_LINE else label)
     for columns in range(min(len(handles), 6), 0, -1):
         legend = figure.legend(handles=handles, loc="lower left", ncols=columns, columnspacing=1.2)
         if columns == 1 or legend.get_window_extent(renderer).width < _TEXT_SHARE * figure.bbox.width:
-            return
+            break
         legend.remove()
+    return replace(sheet, beside=False)
 
 
 def _draw_scale(figure: Figure, above: list[Axes], value: Any, label: str, aspect: float, intervals: int) -> None:
@@ -257,33 +278,38 @@ def _draw_scale(figure: Figure, above: list[Axes], value: Any, label: str, aspec
         bar.set_ticks(MaxNLocator(intervals, steps=_ROUND_STEPS))
 
 
-def _write_margins(figure: Figure, sheet: Sheet) -> None:
+def _write_margins(figure: Figure, sheet: Sheet, tallest: float) -> None:
     """Write the title at the top, to the left of any legend, and the note at the bottom, below any legend.
 
-    A legend below, and each line after the first line of title or note, makes the figure higher.
+    A legend below, and each line after the first line of title or note, makes the figure higher, up to `tallest`
+    [inch].
     """
     renderer = FigureCanvasAgg(figure).get_renderer()
     boxes = [legend.get_window_extent(renderer) for legend in figure.legends]
     wide, tall = max((box.width for box in boxes), default=0.0), max((box.height for box in boxes), default=0.0)
 
     def wrapped(text: str, font: FontProperties, beside: float, most: int) -> str:
-        """Wrap a text by the mean width of its letters; an ellipsis marks omitted text."""
+        """Wrap a text by the mean width of its letters; an ellipsis marks omitted text, and no value is broken."""
         length = float(renderer.get_text_width_height_descent(text, font, False)[0]) if text else 1.0
-        letters = len(text) * _TEXT_SHARE * (figure.bbox.width - beside) / length
-        return plain(fill(text, max(int(letters), 8), max_lines=most, placeholder="…"))
+        letters = max(int(len(text) * _TEXT_SHARE * (figure.bbox.width - beside) / length), 8)
+        while most == _TITLE_LINES and letters > 8 and len(wrap(text, letters - 1)) == len(wrap(text, letters)):
+            letters -= 1  # lines of a title are of about equal length
+        text = re.sub(r" = (\S*\d)( (?=[^\W\d]))?", lambda x: x[0].replace(" ", "\u00a0"), text)
+        return plain(fill(text, letters, max_lines=most, placeholder="…").replace("\u00a0", " "))
 
-    bold = FontProperties(size=_TITLE_SIZE, weight="bold")
+    title_size, note_size = rcParams["figure.titlesize"], rcParams["legend.fontsize"]
+    bold = FontProperties(size=title_size, weight="bold")
     title = wrapped(sheet.title, bold, wide if sheet.beside else 0.0, _TITLE_LINES)
-    note = wrapped(sheet.note, FontProperties(size=_NOTE_SIZE), 0.0, _NOTE_LINES)
+    note = wrapped(sheet.note, FontProperties(size=note_size), 0.0, _NOTE_LINES)
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontproperties=bold)
-    footer = figure.supxlabel(note, x=0.01, ha="left", fontsize=_NOTE_SIZE, color="0.3") if note else None
-    more = _LINE_HEIGHT / 72.0 * (_TITLE_SIZE * title.count("\n") + _NOTE_SIZE * note.count("\n"))
+    footer = figure.supxlabel(note, x=0.01, ha="left", fontsize=note_size, color="0.3") if note else None
+    more = _LINE_HEIGHT / 72.0 * (title_size * title.count("\n") + note_size * note.count("\n"))
     height, legend = figure.get_figheight() + more, tall / figure.dpi + _PADDING * bool(boxes)
     if sheet.beside:
-        figure.set_figheight(max(height, legend + _FOOTER * bool(note) + more))
+        figure.set_figheight(min(max(height, legend + _FOOTER * bool(note) + more), tallest))
     else:
-        height += legend
+        height = min(height + legend, tallest)
         figure.set_figheight(height)
         below = footer.get_window_extent(renderer).height / figure.dpi + _PADDING if footer else 0.0
         for each in figure.legends:

@@ -23,10 +23,11 @@ from vibrojax.pictures.motion import (
     span,
     time_axis,
 )
-from vibrojax.pictures.plots import INK, Axis, Line, Plot, Sheet
+from vibrojax.pictures.plots import INK, Axis, Layer, Line, Plot, Sheet
 from vibrojax.pictures.style import BIT, ROCK
 
 _ENLARGED_BLOWS = 2
+_BLOWS_BEFORE, _MANY_BLOWS = 8, 40  # drawn before the last two, of a run with more
 _BLOW_LEAD = 0.08  # fraction of the time between blows that is shown before the first enlarged blow
 _FEWEST_CYCLES = 4
 _LEAST_SLIP = 1e-12  # [m] in one cycle: less is rounding error
@@ -34,32 +35,46 @@ _MANY_CYCLES = 120  # number of cycles from which curves have no markers
 
 
 def pulses(ds: xr.Dataset) -> Sheet:
-    """Draw bit and hole above the forces on the bit: the whole run at the left, its last two blows at the right.
+    """Draw bit and hole above the forces on the bit: the run at the left, its last two blows at the right.
+
+    Of a run of many blows, the left has the last few, below the depth of the hole over the whole run.
 
     **Raises:** `InputError` if the dataset holds no trajectory of bit and hole.
     """
     hole = read_run(ds, "x3", "x4")
-    begin, end, late = float(hole.time[0]), float(hole.time[-1]), _last_blows(hole)
+    begin, end, late, between = float(hole.time[0]), float(hole.time[-1]), *_last_blows(hole)
     names = [name for name in ("applied_force", "rock_force") if name in hole.series]
-    threshold, plots = hole.parameters.get("threshold"), []
-    for column, start in enumerate((begin, late)):
+    threshold = hole.parameters.get("threshold")
+    plots: list[Plot] = []
+    shown = max(begin, late - _BLOWS_BEFORE * between) if late - begin > _MANY_BLOWS * between else begin
+    top = int(shown > begin)  # rows above
+    if top:
+        factor, unit = printed_unit("m", hole["x4"])
+        layers: list[Layer] = [span(shown, end, 0.5), Line(hole.time, factor * hole["x4"], ROCK, 2.4)]
+        across = time_axis(begin, end, "")
+        plots.append(Plot(layers, across, Axis(f"whole run\n[{unit}]"), place=(0, 0, 1, 2)))
+    for column, start in enumerate((shown, late)):
         rows = [hole_plot(hole, start, end, f"time{start}")]
         if names:
             across = time_axis(start, end, f"time{start}")
             rows.append(force_plot(hole.between(start, end), names, across, threshold, 0.5))
-        for row, plot in enumerate(rows):
+        for row, plot in enumerate(rows, top):
             if column:
-                plots.append(enlarged(plot, "" if row else "enlarged: the shaded end of the run", place=(row, 1)))
+                plots.append(enlarged(plot, "" if row > top else "enlarged: the shaded end", place=(row, 1)))
             else:
                 layers = [span(late, end, 0.25), *plot.layers]
                 plots.append(replace(plot, layers=layers, keys="above left", key_columns=3, place=(row, 0)))
     plots.sort(key=lambda plot: plot.place)
     about = margins(ds, growth_text(hole), band_text(plots))
-    return Sheet(plots, (FIGURE_WIDTH, 5.4 if names else 3.4), (1.25, 1.0), (1.3, 1.0)[: len(rows)], **about)
+    heights = (*[0.5] * top, 1.3, 1.0)[: top + len(rows)]
+    size = FIGURE_WIDTH, (5.4 if names else 3.4) + 1.4 * top
+    return Sheet(plots, size, (1.25, 1.0), heights, **about)
 
 
-def _last_blows(hole: Run) -> float:
-    """Return a time [s] shortly before the last two blows, or, with too few blows, before the last fifth of the run.
+def _last_blows(hole: Run) -> tuple[float, float]:
+    """Return a time [s] shortly before the last two blows, and the time between blows.
+
+    With too few blows, the first is the time before the last fifth of the run, and the second is infinite.
 
     A blow begins where the applied, or else the rock's, force rises through the middle of its range.
     """
@@ -67,10 +82,10 @@ def _last_blows(hole: Run) -> float:
     above = force > (force.max() + force.min()) / 2
     begun = hole.time[1:][above[1:] & ~above[:-1]]
     if begun.size <= _ENLARGED_BLOWS + 1:
-        return float(hole.time[-1] - 0.2 * np.ptp(hole.time))
+        return float(hole.time[-1] - 0.2 * np.ptp(hole.time)), np.inf
     between = float(np.median(np.diff(begun)))
     begun = begun[begun < hole.time[-1] - 0.5 * between]  # a blow cut short by the end of the run does not count
-    return float(begun[-_ENLARGED_BLOWS] - _BLOW_LEAD * between)
+    return float(begun[-_ENLARGED_BLOWS] - _BLOW_LEAD * between), between
 
 
 def response(ds: xr.Dataset) -> Sheet:
@@ -101,7 +116,7 @@ def response(ds: xr.Dataset) -> Sheet:
     changes = np.flatnonzero(np.diff(slips.astype(int), prepend=0, append=0))
     ends = np.concatenate([frequency[:1], (frequency[1:] + frequency[:-1]) / 2, frequency[-1:]])
     quantities = (
-        (half_swing(hole["x3"] - hole["x4"]), "m", BIT, 1.1, "amplitude of\nx₃ − x₄"),
+        (half_swing(hole["x3"] - hole["x4"]), "m", BIT, 1.1, "amplitude of\nx₃−x₄"),
         (half_swing(hole["v3"]), "m s-1", INK, 1.1, "amplitude of\nx₃′"),
         (depth[1:], "m", ROCK, 2.0, "depth of the hole\nx₄"),
     )

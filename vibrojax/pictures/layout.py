@@ -128,8 +128,15 @@ WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
 """Width [inch] that the user chose for the picture; None if each picture has its own."""
 
 _INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0}
-_NARROWEST, _NARROW, _WIDEST = 1.5, 4.5, 40.0  # [inch]; a narrow picture shows fewer maps
-_LEAST_PANEL, _LEAST_SHARED = 1.25, 1.1  # least width [inch] of a panel with its labels, and with those of its row
+TALLEST = 235 / 25.4
+"""Greatest height [inch] of a picture whose width the user chose: that of a journal's page."""
+
+_NARROWEST, NARROW, _WIDEST = 1.5, 4.5, 40.0  # [inch]; a narrow picture shows fewer maps
+_LEAST_PANEL, _LEAST_SHARED = 1.5, 1.1  # least width [inch] of a panel with its labels, and with those of its row
+_LEAST_BESIDE = 2.0  # least width [inch] of a panel beside several rows
+_MARGINS = 1.4  # approximate height [inch] of title, legend and note of a narrow sheet
+_BAR = 0.3  # height [inch] of a colour bar
+_STACKED_MAP = 0.65  # height of maps below each other, in units of their width
 _KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
 _MOST_ACROSS = 6
 LETTERS = 14.5
@@ -154,9 +161,9 @@ def read_width(width: str | float | int | None) -> float | None:
     return inches
 
 
-def is_narrow() -> bool:
-    """Return whether the user chose a narrow picture."""
-    return (WIDTH.get() or np.inf) <= _NARROW
+def is_narrow(most: float = NARROW) -> bool:
+    """Return whether the user chose a picture that is at most as wide as `most` [inch], by default a narrow one."""
+    return (WIDTH.get() or np.inf) <= most
 
 
 def in_width(sheet: Sheet, width: float) -> Sheet:
@@ -168,25 +175,37 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
         return replace(sheet, size=(width, sheet.size[1]))
     tall = sheet.size[1] / sum(sheet.heights)
     wide = (sheet.size[0] - LEGEND_WIDTH * bool(legend_of(sheet))) / sum(sheet.widths)
+    least = width / sum(sheet.widths) * min(sheet.widths)
+    if any(plot.span[2] > 1 for plot in sheet.plots) and least >= _LEAST_BESIDE:
+        wide, tall = width / sum(sheet.widths), _LEAST_SHARE * tall
+        plots = [_narrowed(x, wide * _part(sheet.widths, x, 1), tall * _part(sheet.heights, x, 0)) for x in sheet.plots]
+        return replace(sheet, plots=plots, size=(width, _LEAST_SHARE * sheet.size[1]), beside=False)
     rows: dict[tuple[bool, int], list[Plot]] = {}
     for plot in sorted(sheet.plots, key=lambda plot: (plot.span[2] > 1, plot.place)):  # tall panels come last
         rows.setdefault((plot.span[2] > 1, plot.place[0]), []).append(plot)
     parts: list[tuple[list[Plot], float, float]] = []  # rows with the width and the height of their panels
     for row in rows.values():
-        least = _LEAST_SHARED if row[0].y.group else _LEAST_PANEL
+        is_map = any(plot.is_map for plot in row)
+        shared = {plot.y.group for plot in row} == {row[0].y.group} != {""} and not is_map
         # Maps of one axis have equal widths, also in a row that is not full.
         alike = [len(other) for other in rows.values() if other[0].x.group == row[0].x.group != ""]
-        count = max(alike, default=len(row))
-        across = -(-count // ceil(count / min(count, max(1, int(width / least)), _MOST_ACROSS)))  # rows of equal length
+        alike = alike if len(alike) > 1 and is_map else []
+        count, most = max(alike, default=len(row)), int(width / (_LEAST_SHARED if shared else _LEAST_PANEL))
+        across = -(-count // ceil(count / min(count, max(1, most), _MOST_ACROSS)))  # rows of equal length
+        if is_map and count % across:
+            across = 1
         first, column, deep, spanned = row[0].span
         height = tall * sum(sheet.heights[first : first + deep])
         if height >= _LOW:
             share = width / across / (wide * sum(sheet.widths[column : column + spanned]))
             height *= min(1.0, max(share, _LEAST_SHARE))
         height = min(height, width / across, _MOST_SQUARE) if row[0].square else height
+        height = min(height, _STACKED_MAP * width) if is_map and across < count else height
         for part in (row[k : k + across] for k in range(0, len(row), across)):
             parts.append((part, width / (across if alike else len(part)), height))  # no gap beside the last panel
     columns = lcm(*(round(width / each) for _, each, _ in parts))
+    lower = min(1.0, (TALLEST - _MARGINS) / sum(height for *_, height in parts))
+    parts = [(part, each, lower * height) for part, each, height in parts]
     plots = []
     for k, (part, each, height) in enumerate(parts):
         span = round(columns * each / width)
@@ -196,6 +215,12 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
     return replace(sheet, plots=plots, size=size, widths=[1.0] * columns, heights=heights, beside=False)
 
 
+def _part(sizes: Sequence[float], plot: Plot, which: int) -> float:
+    """Return the heights (`which` is 0) or widths of a sheet that a plot spans."""
+    first, count = plot.span[which], plot.span[which + 2]
+    return sum(sizes[first : first + count])
+
+
 def _narrowed(plot: Plot, width: float, height: float) -> Plot:
     """Return a panel whose texts are broken, and whose ticks are fewer, in a width and height [inch]."""
 
@@ -203,8 +228,8 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
         letters = int(LETTERS * length)
         label = broken(of.label, letters)
         if label.count("\n") > 1:  # without the words before the symbol
-            label = broken(of.label.rpartition(", ")[2], letters)
-        few = 3 if length < 1.0 else 4
+            label = broken(" ".join(of.label.split()).rpartition(", ")[2], letters)
+        few = 3 if length < 1.4 else 4
         intervals = min(of.intervals or few, few) if length < 2.2 else of.intervals
         texts = [text for _, text in of.ticks or ()]
         crowded = sum(len(text) + 2 for text in texts) > 1.2 * LETTERS * length and max(map(len, texts)) > 4
@@ -214,5 +239,5 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
     # A legend of the plot's own would be as wide as the plot.
     keys = "" if width < _KEYS_PANEL else plot.keys
     title = broken_title(plot.title, max(int(LETTERS * (width - 0.2)), 10))
-    inside = min(height, _MAP_ASPECT * width) if plot.has_cells else height
+    inside = (min(height, _MAP_ASPECT * width) if plot.has_cells else height) - _BAR * (plot.scale is not None)
     return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, inside), keys=keys)

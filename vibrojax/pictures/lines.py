@@ -19,6 +19,7 @@ from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import FORM, POINT, RATE, REGIME, RELIEF, SENSITIVE, START, is_numeric, lane_dims
 from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, PAGE, STACK_MARGINS, at, facets
 from vibrojax.pictures.plots import (
+    FAINT,
     INK,
     Area,
     Axis,
@@ -49,6 +50,7 @@ _SLIP, _PEAK = "slip_per_impact", "peak_impact_force"
 _MANY_LANES = 40  # number of lanes per line from which on markers are small
 _CONSTANT = 1e-6  # largest relative range of values that count as constant
 _BEYOND = 1.05  # greatest value on an axis, in units of the greatest value in the data
+_MEAN: Look = {"face": "white", "edge_width": 0.9, "order": 2.5}  # of a motion that does not repeat
 _MARKS: dict[str, tuple[str, Look]] = {
     "single": ("single impact", {"marker": "o"}),
     "other": ("other motion", {"marker": "x"}),
@@ -85,7 +87,8 @@ def regime_lines(ds: xr.Dataset, x: str | None = None, note: str = "", values: S
     x = x or max(contents.axes_to_draw(ds), key=lambda name: ds.sizes[name])
     starts = starts_of(ds) if START in lane_dims(ds) and not contents.many_starts(ds) else []
     looks = [{"marker": "o", "colour": start.colour, **nested_line(k, len(starts))} for k, start in enumerate(starts)]
-    keys = [key(f"start: {start.name}", **look) for start, look in zip(starts, looks, strict=True)]
+    keys: list[Key] = [key(f"start: {start.name}", **look) for start, look in zip(starts, looks, strict=True)]
+    keys += [] if contents.many_starts(ds) else motion_keys(ds, values)
     height = 1.9 if len(values) > 1 else 2.4
     return stacks(ds, x, len(values), (height, height), partial(value_plots, values=values, x=x), keys, note)
 
@@ -184,12 +187,25 @@ def value_plots(facet: xr.Dataset, values: Sequence[Value], x: str) -> list[Plot
     return plots
 
 
+def motion_keys(ds: xr.Dataset, values: Sequence[Value]) -> list[Key]:
+    """Return the legend entries of what `value_plots` draws besides the lines of lanes that repeat."""
+    keys: list[Key] = []
+    if not values:
+        return keys
+    if any({f"{value.name}_min", f"{value.name}_max"} <= set(ds) for value in values):
+        keys.append(Area(colour=FAINT, alpha=0.4, label="range of the blows"))
+    if "cycles" in ds and bool((ds["cycles"] == 0).any()):
+        keys.append(dots(label="mean: does not repeat", **_MEAN))
+    return keys
+
+
 def value_lines(
     lines: Sequence[Series], value: Value, place: Callable[[xr.Dataset], Lanes], dash: Dash | None = None
 ) -> list[Layer]:
     """Return lines of `value` over the places of their lanes, with the range over the impacts of each lane.
 
-    Without a `dash`, a motion that several lines reach shows the colours of all of them.
+    Without a `dash`, a motion that several lines reach shows the colours of all of them, and means of motions that do
+    not repeat are hollow.
     """
     layers: list[Layer] = []
     for k, (_, colour, lanes) in enumerate(lines):
@@ -198,7 +214,11 @@ def value_lines(
             low, high = (lanes[end].values * value.factor for end in ends)
             layers.append(Area(along, low, high, colour, 0.15))
         look = nested_line(k, len(lines)) if dash is None else {"size": 3.0, "dash": dash}
-        layers.append(Line(along, np.ravel(value.of(lanes).values), colour, marker="o", clip=False, **look))
+        heights = np.ravel(value.of(lanes).values)
+        layers.append(Line(along, heights, colour, marker="o", clip=False, **look))
+        if dash is None and "cycles" in lanes and (mean := np.ravel(lanes["cycles"].values) == 0).any():
+            about = _MEAN | {"size": look["size"], "colour": colour}
+            layers.append(dots(along[mean], heights[mean], clip=False, **about))
     return layers
 
 

@@ -55,7 +55,7 @@ def maps_of(
     lanes are a list of points, rather than a grid.
     """
     count, many = len(panels), len(values)
-    if blocks := count > _MOST_BESIDE:
+    if blocks := count > _MOST_BESIDE or (is_narrow() and count == _NARROW_COLUMNS):
         of_facets = panels.places(_NARROW_COLUMNS if is_narrow() else _MOST_COLUMNS)
         block = 1 + max(row for row, _ in of_facets)
         places = [(row + i * block, column) for row, column in of_facets for i in range(many)]
@@ -215,11 +215,12 @@ def contours(
     z: np.ndarray,
     levels: Sequence[float],
     taken: list[np.ndarray],
+    labelled: bool = False,
     **look: Any,
 ) -> list[Layer]:
     """Return contour lines with their values, as far as labels do not lie over those at the places `taken`.
 
-    `taken` has places as fractions of the panel, and is extended.
+    `taken` has places as fractions of the panel, and is extended. `labelled`: leave out lines that have no label.
     """
     generator = contour_generator(x, y, np.ma.masked_invalid(z))
     low, size = np.array([x.min(), y.min()]), np.array([np.ptp(x), np.ptp(y)])
@@ -230,7 +231,6 @@ def contours(
         paths: list[np.ndarray] = [path for path in lines if len(path) > 1]
         if not paths:
             continue
-        layers.append(Line(*np.concatenate([np.append(path, [[np.nan] * 2], axis=0) for path in paths]).T, **look))
         # The label is where the most room is left, best in the middle of the longest line.
         longest = max(paths, key=len)
         places = (longest - low) / size
@@ -239,7 +239,10 @@ def contours(
             room = np.minimum(room, np.max(np.abs(places - other) / _LABEL_ROOM, axis=1))
         room[((places < _LABEL_ROOM) | (places > 1 - _LABEL_ROOM / 2)).any(axis=1)] = 0.0
         best = int(np.argmax(room))
-        if room[best] > 1.0:
+        has_room = bool(room[best] > 1.0)
+        if has_room or not labelled:
+            layers.append(Line(*np.concatenate([np.append(path, [[np.nan] * 2], axis=0) for path in paths]).T, **look))
+        if has_room:
             taken.append(places[best])
             across, up = longest[best].tolist()
             layers.append(Text(across, up, f"{value:g}", colour=look["colour"], size=7.5, halo=1.0))
@@ -306,7 +309,7 @@ def regime_bars(ds: xr.Dataset) -> Sheet:
     panels = split_starts(ds)
     counts = [colours.regime_counts([facet[REGIME]]) for facet in panels.data]
     occurring, names = sorted(set().union(*counts)), colours.regime_names(ds[REGIME])
-    wide = min(len(panels), _MOST_BAR_COLUMNS)
+    wide = min(len(panels), 1 if is_narrow() else _MOST_BAR_COLUMNS)
     deep = -(-len(panels) // wide)
     shown = [colours.REGIME_COLOURS[flag] for flag in occurring]
     most = max((n for count in counts for n in count.values()), default=1)

@@ -342,7 +342,7 @@ def _last_impact(hole: Run, impacts: Samples) -> tuple[float, float] | None:
 def states_over_time(ds: xr.Dataset) -> Sheet:
     """Draw the states over the last ten periods of a motion, and a phase portrait of its first two states.
 
-    The transient is faint in the portrait. Dots are impacts.
+    The transient is faint in the portrait.
 
     **Raises:** `InputError` if the dataset holds no state.
     """
@@ -361,16 +361,19 @@ def states_over_time(ds: xr.Dataset) -> Sheet:
     for row, name in enumerate(names):
         layers: list[Layer] = [trace(late.time, late[name], 2 / 3, colour=BIT, width=0.9)]
         # Only the first state is continuous in an impact; elsewhere a dot would lie within the jump.
-        if not row:
-            layers.append(dots(late.impacts, np.interp(late.impacts, late.time, late[name]), **_DOTS | {"size": 3.0}))
+        if not row and late.impacts.size:
+            look = {**_DOTS, "size": 3.0, "label": "impacts"}
+            layers.append(dots(late.impacts, np.interp(late.impacts, late.time, late[name]), **look))
         plots.append(Plot(layers, time_axis(start, end), axis(ds[name]), place=(row, 0, 1, 2), grid=""))
     if portrait := len(names) > 1:
-        lines = [Line(motion[names[0]], motion[names[1]], FAINT, 0.5), Line(late[names[0]], late[names[1]], BIT, 1.0)]
+        lines = [
+            Line(motion[names[0]], motion[names[1]], FAINT, 0.5, label="whole motion" if start > 0 else ""),
+            Line(late[names[0]], late[names[1]], BIT, 1.0, label=part),
+        ]
         across, up = (axis(ds[name]) for name in names[:2])
         plots.append(Plot(lines, across, up, place=(0, 2, len(names), 1), grid=""))
-    about = f"Drawn: {part}" + (", grey: the whole motion" if portrait and start > 0 else "")
-    notes = margins(ds, about, "Dots: impacts" if late.impacts.size else "", band_text(plots))
-    return Sheet(plots, (FIGURE_WIDTH, max(1.5 * len(names) + 1.0, 3.6)), **notes)
+    notes = margins(ds, f"Drawn: {part}" * (not portrait), band_text(plots))
+    return Sheet(plots, (FIGURE_WIDTH, max(1.5 * len(names) + 1.0, 3.6)), beside=False, **notes)
 
 
 def histories(ds: xr.Dataset, names: Sequence[str]) -> Sheet:

@@ -223,8 +223,13 @@ class Plot:
 
     @property
     def has_cells(self) -> bool:
-        """True if the plot is a map."""
+        """True if the plot is a map of cells."""
         return any(isinstance(layer, Cells) for layer in self.layers)
+
+    @property
+    def is_map(self) -> bool:
+        """True if the plot is a map, of cells or of points."""
+        return self.has_cells or self.scale is not None
 
 
 @dataclass(frozen=True)
@@ -269,9 +274,15 @@ def plots_of(sheet: Sheet) -> list[Plot]:
 
 
 def legend_of(sheet: Sheet) -> list[list[Key]]:
-    """Return the groups of legend entries: the keys of the sheet, and those of layers with labels, each text once."""
-    entries = [entry for plot in sheet.plots if not plot.keys for entry in labelled_layers(plot)]
-    labelled = list({entry.label: entry for entry in entries}.values())
+    """Return the groups of legend entries: the keys of the sheet, and those of layers with labels, each text once.
+
+    Entries of a plot's own legend are not repeated.
+    """
+    own, entries = (
+        {entry.label: entry for plot in sheet.plots if bool(plot.keys) == has_own for entry in labelled_layers(plot)}
+        for has_own in (True, False)
+    )
+    labelled = [entry for label, entry in entries.items() if label not in own]
     return [group for group in (*map(list, sheet.keys), labelled) if group]
 
 

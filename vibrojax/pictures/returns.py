@@ -15,7 +15,7 @@ from vibrojax.pictures import contents, overlays
 from vibrojax.pictures.axes import broken, number, pretty_unit, scale, values_along, with_unit
 from vibrojax.pictures.colours import Value, regime_cells, regimes_in, values_beside
 from vibrojax.pictures.contents import DIRECTION, IMPACTS_OF_RETURNS, REGIME, RETURN, START
-from vibrojax.pictures.lines import Lanes, dot_size, lane_dots, stacks, starts_of, value_plots
+from vibrojax.pictures.lines import Lanes, dot_size, lane_dots, motion_keys, stacks, starts_of, value_plots
 from vibrojax.pictures.overlays import Overlays
 from vibrojax.pictures.plots import Axis, Key, Layer, Look, Plot, Points, Sheet, dots, key, upright
 from vibrojax.pictures.style import nested_line
@@ -133,7 +133,9 @@ def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = Non
     note = ". ".join(filter(None, (about, of_families, _jumps_text(ds, along, layers))))
     height = 3.4 if len(values) < 2 else 1.9
     draw = partial(_way_plots, values=values, shown=str(at_returns), x=along, layers=layers)
-    return stacks(ds, along, max(len(values), 1), (height, height), draw, [*keys, *marks], note)
+    return stacks(
+        ds, along, max(len(values), 1), (height, height), draw, [*keys, *motion_keys(ds, values), *marks], note
+    )
 
 
 def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:

@@ -78,7 +78,7 @@ def calibration_picture(ds: xr.Dataset) -> Sheet:
     ]
     plots = [replace(plot, place=(0, k)) for k, plot in enumerate(plots)]
     size, widths = (2.0 + 2.9 * len(plots), 3.6), (1.0,) * len(plots)
-    return Sheet(plots, size, widths, **margins(ds, point="; ".join(_estimates(ds))))
+    return Sheet(plots, size, widths, beside=False, **margins(ds, point="; ".join(_estimates(ds))))
 
 
 def _posterior_plot(ds: xr.Dataset) -> Plot:
@@ -97,7 +97,7 @@ def _posterior_plot(ds: xr.Dataset) -> Plot:
         return Plot(layers, axes[0], Axis("draws of the posterior", limits=(0.0, None)), "posterior", grid="")
     layers = [
         dots(draws[:, 0], draws[:, 1], colour=BIT, size=1.0, alpha=0.4),
-        dots(estimate[:1], estimate[1:2], marker="*", colour=IMPACT, size=10.0, order=3.0),
+        dots(estimate[:1], estimate[1:2], marker="*", colour=IMPACT, size=10.0, order=3.0, label="estimate"),
     ]
     return Plot(layers, axes[0], axes[1], "posterior", grid="")
 
@@ -107,11 +107,15 @@ def _combination_plot(ds: xr.Dataset) -> Plot:
     rows = np.arange(len(errors), dtype=float)
     log = bool(errors.max() > 10 * errors.min())
     begin = np.full(len(errors), 0.5 * errors.min() if log else 0.0)
-    colours = [BIT if error < 100 * VAGUE else FAINT for error in errors]
     across = Axis("relative standard error [%]", limits=(float(begin[0]), None), log=log, intervals=5)
     up = Axis(ticks=[(row, _combination(ds, int(row))) for row in rows.tolist()], reversed=True)
-    bars = Bars(begin, rows - 0.25, errors - begin, np.full(len(errors), 0.5), colours)
-    return Plot([bars], across, up, "combinations", grid="")
+    known = errors < 100 * VAGUE
+    layers = [
+        Bars(begin[k], rows[k] - 0.25, (errors - begin)[k], np.full(k.sum(), 0.5), colour, label=text)
+        for k, colour, text in ((known, BIT, "determined"), (~known, FAINT, "vague"))
+        if k.any()
+    ]
+    return Plot(layers, across, up, "combinations", grid="")
 
 
 def _value(ds: xr.Dataset, k: int) -> xr.DataArray:
@@ -125,7 +129,7 @@ def _estimates(ds: xr.Dataset) -> list[str]:
     for k, name in enumerate(signs.get(str(x), str(x)) for x in ds["parameter"].values):
         factor, unit = scale(_value(ds, k))
         columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high")
-        value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 5}g}" for x in columns)
+        value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 4}g}" for x in columns)
         bound = reasons[int(ds["reason"][k])] == "at-bound"
         line = f"{name} = {value}{'' if bound else f' ± {error}'} {pretty_unit(unit)}".rstrip()
         line += " at its bound" if bound else ""

@@ -28,7 +28,7 @@ def curves_picture(ds: xr.Dataset) -> Sheet:
     limits = {name: [scale(ds[name])[0] * bound for bound in bounds] for name, bounds in bounds_of(ds).items()}
     across, up = (axis(ds[name], limits=tuple(limits[name])) for name in (x, y))
     note = "Lines: orbits at which the motion changes, stable or not"
-    return Sheet([Plot(layers, across, up)], (8.4, 5.2), **margins(ds, note))
+    return Sheet([Plot(layers, across, up)], (8.4, 5.2), beside=False, **margins(ds, note))
 
 
 def bounds_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:

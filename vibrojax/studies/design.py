@@ -60,7 +60,7 @@ def design_picture(ds: xr.Dataset) -> Sheet:
     rows = -(-len(plots) // columns)
     plots = [replace(plot, place=divmod(k, columns)) for k, plot in enumerate(plots)]
     best = ds.isel(candidate=0)
-    what = f"Best: {_best_text(ds)} at {_place_text(best, names)}"
+    what = f"Best: {_best_text(ds, 4)} at {_place_text(best, names)}"
     required = str(ds.attrs.get("requirements", "")).replace(" ± ", "\u00a0±\u00a0")
     about = margins(ds, point=f"{what}. Requirements: {required}")
     return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), **about)
@@ -89,7 +89,8 @@ def _plot_along(ds: xr.Dataset, name: str) -> Plot:
     factor = scale(ds["map_objective"])[0]
     z = ds["map_objective"].values * factor
     lowest = float(np.nanmin(np.concatenate([z[fit], ds["objective"].values * factor])))
-    layers = [dots(x[fit], z[fit], colour=BIT, size=2.0), *_infeasible(x[~fit], np.full((~fit).sum(), lowest))]
+    feasible = dots(x[fit], z[fit], colour=BIT, size=2.0, label="map: feasible, without tolerances")
+    layers = [feasible, *_infeasible(x[~fit], np.full((~fit).sum(), lowest))]
     layers += _marks(values_along(ds[name]), ds["objective"].values * factor)
     return Plot(layers, axis(_named(ds, name)), Axis(_objective_label(ds)))
 
@@ -125,12 +126,14 @@ def _named(ds: xr.Dataset, name: str) -> xr.DataArray:
     return ds[name].assign_attrs(symbol=symbols_of(ds).get(name, name))
 
 
-def _best_text(ds: xr.Dataset) -> str:
+def _best_text(ds: xr.Dataset, digits: int = 5) -> str:
     """Return the objective of the best candidate, and the worst within the tolerances."""
-    value = quantity_text(float(ds["objective"][0]), ds["objective"])
+    value, worst = (
+        quantity_text(float(ds[name][0]), ds["objective"], digits) for name in ("objective", "objective_worst")
+    )
     if not any(str(key).startswith("tolerance_") for key in ds.attrs):
         return value
-    return f"{value} (worst within the tolerances {quantity_text(float(ds['objective_worst'][0]), ds['objective'])})"
+    return f"{value} (worst within the tolerances {worst})"
 
 
 def _objective_label(ds: xr.Dataset) -> str:

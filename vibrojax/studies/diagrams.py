@@ -1,6 +1,7 @@
 """Diagrams that engineers ask for by name: Campbell, rate of penetration over the force, designer's chart."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -8,13 +9,14 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.pictures.axes import scale, with_unit
 from vibrojax.pictures.chart import chart
-from vibrojax.pictures.contents import FORM, POINT, RATE, RELIEF, lane_dims, rates_in, without_single
+from vibrojax.pictures.contents import FORM, POINT, RATE, RELIEF, START, lane_dims, rates_in, without_single
 from vibrojax.pictures.lines import Across, Series, axis_of_lines, line_keys, longest_axis, row_per_facet
 from vibrojax.pictures.plots import FAINT, Area, Axis, Key, Layer, Line, Look, Picture, Plot, Sheet, Text, dots, key
 from vibrojax.studies.frequencies import frequencies
 
 _MODES = {"lower_frequency": "-", "upper_frequency": "-", "bit_frequency": ":", "striker_frequency": ":"}
 _MODE_NAMES = {"-": "natural frequencies\nof both masses", ":": "bit alone,\nstriker alone"}
+_MEAN: Look = {"size": 2.0}  # of a motion that does not repeat
 _MOTIONS = {"return_frequency": "o", "blows_per_second": "x"}
 _MOTION_NAMES = {"return_frequency": "returns of the bit", "blows_per_second": "blows"}
 _ORDERS = 6  # most multiples of the rotation that are drawn
@@ -45,7 +47,7 @@ def campbell(ds: xr.Dataset) -> Sheet:
     drawn = {name: data for name, data in known.items() if name in (*_MODES, *_MOTIONS, "rpm")}
     ds = ds.assign({name: data for name, data in drawn.items() if name not in ds.coords}).sortby(x.name)
     turns = "rpm" in ds and x.name in ds["rpm"].dims
-    by = axis_of_lines(ds, x.name)
+    by, named = axis_of_lines(ds, x.name), "cycles" in ds
     # The frame ends at zero and a little beyond the data; the rays do not change it.
     values = [ds[name].values for name in (*_MODES, *_MOTIONS) if name in ds]
     top = 1.05 * max(float(np.nanmax(part, initial=0.0)) for part in values) or 1.0
@@ -54,15 +56,25 @@ def campbell(ds: xr.Dataset) -> Sheet:
     low, high = float(places.min()) - room, float(places.max()) + room
     across = Axis("rotation [1/min]", "rpm", (low, high), group="across") if turns else x.axis(ds)
 
+    def nested(k: int) -> Look:
+        """Return the size of the marks of a start, which lie within those of the starts before it."""
+        return {"size": max(5.5 - 2.2 * k, 2.0)} if by == START else {}
+
     def draw(lines: list[Series]) -> Plot:
         layers: list[Layer] = []
-        for line in lines:
+        for k, line in enumerate(lines):
             along = line.lanes["rpm"].values if turns else x.of(line.lanes)
             for name, dash in _MODES.items():
                 layers.append(Line(along, np.broadcast_to(line.lanes[name].values, along.shape), FAINT, 1.5, dash))
             for name, marker in _MOTIONS.items():
                 if name in line.lanes:
-                    layers.append(dots(along, line.lanes[name].values, colour=line.colour, **_marks(marker)))
+                    values = np.broadcast_to(line.lanes[name].values, along.shape)
+                    repeats = (
+                        np.broadcast_to(line.lanes["cycles"].values > 0, along.shape) if named else ~np.isnan(values)
+                    )
+                    for shown, look in ((repeats, _marks(marker) | nested(k)), (~repeats, _MEAN)):
+                        if shown.any():
+                            layers.append(dots(along[shown], values[shown], colour=line.colour, **look))
         free = np.inf  # right of it, rays have their labels
         for order in range(1, _ORDERS + 1) if turns else ():
             layers.append(Line([0.0, 2 * high], [0.0, 2 * high * order / 60], FAINT, 0.6, order=1.0))
@@ -74,7 +86,8 @@ def campbell(ds: xr.Dataset) -> Sheet:
 
     keys: list[Key] = [key(name, colour=FAINT, dash=dash) for dash, name in _MODE_NAMES.items()]
     keys += [dots(label=_MOTION_NAMES[name], **_marks(marker)) for name, marker in _MOTIONS.items() if name in ds]
-    lines = line_keys(ds, by, dash="", **_marks("o"))
+    keys += [dots(label="mean: does not repeat", **_MEAN)] * (named and bool((ds["cycles"] == 0).any()))
+    lines = [replace(each, **nested(k)) for k, each in enumerate(line_keys(ds, by, dash="", **_marks("o")))]
     note = "Rays: multiples of the rotation n" if turns else ""
     return row_per_facet(ds, x, by, [draw], [keys, lines], note)
 
@@ -132,7 +145,7 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
                 along = np.geomspace(onset, float(np.nanmax(force)), _CURVE_POINTS)
                 values = law(along / threshold, float(group["C"]), float(group["eta0"]), np.nan)
                 layers.append(Line(of_force * along, factor * values, line.colour))
-            onsets.append(key("\n".join(filter(None, (line.name, text * few))), colour=line.colour, marker="o"))
+            onsets.append(key(":\n".join(filter(None, (line.name, text * few))), colour=line.colour, marker="o"))
         return Plot(layers, across, up)
 
     hollow = [dots(label="no penetration", face="white")] if bool((ds[RATE] == 0).any()) else []

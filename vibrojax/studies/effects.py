@@ -66,7 +66,8 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     about = f"Lines: intervals of {level} confidence; pairs within theirs of 0 are in brackets"
     shares = np.concatenate([ds[name].values.ravel() for name in ("first_order", "total_order")])
     beyond = "Shares beyond 0 and 1, from too few samples, end there" * bool(((shares < 0) | (shares > 1)).any())
-    return Sheet(plots, size, (1.5, 1.0), **margins(ds, about, beyond, further))
+    notes = "Titles: mean ± standard deviation", about, beyond, further
+    return Sheet(plots, size, (1.5, 1.0), beside=False, **margins(ds, *notes))
 
 
 def _share_plot(row: xr.Dataset, k: int, label: str) -> Plot:

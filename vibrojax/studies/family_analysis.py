@@ -183,7 +183,7 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
     if not standing and bool(((heights_of(ds, LARGEST, 1.0) < low) | (heights_of(ds, LARGEST, 1.0) > high)).any()):
         note = f"The largest modulus is drawn from {low:g} to {high:g}"
     about = margins(ds, ranges_text(ds, names), note, outside)
-    return Sheet(plots, (12.5, height), (1.75, 1.0), (1.0,) * len(names), keys, **about)
+    return Sheet(plots, (12.5, height), (1.75, 1.0), (1.0,) * len(names), keys, beside=False, **about)
 
 
 def _label(ds: xr.Dataset, name: str) -> str:
@@ -209,12 +209,12 @@ def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
     if standing:
         layers.append(upright(0.0, width=0.9))
         values = (ds[LEADING].values + 1j * ds["eigenvalue_im"].values)[points].reshape(len(points), -1)
-        half = 1.1 * float(np.nanmax(np.abs([values.real, values.imag]), initial=1e-12))
+        sides = [1.1 * float(np.nanmax(np.abs(part), initial=1e-12)) for part in (values.real, values.imag)]
     else:
         turn = np.linspace(0.0, 2 * np.pi, 181)
         layers += [upright(0.0, colour=grey, width=0.6, order=0.0), Line(np.cos(turn), np.sin(turn), width=0.9)]
         modulus, argument = ds[LARGEST].values[points], ds["multiplier_arg"].values[points]
-        half = float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))
+        sides = [float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))] * 2
         values = (modulus * np.exp(1j * argument)).reshape(len(points), -1)
     norm = Normalize(along[points].min(), along[points].max()) if len(points) else Normalize(0.0, 1.0)
     colours = colours_of(along[points], colour_map(), norm)
@@ -223,13 +223,15 @@ def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
     for column in values.T if len(points) else ():
         for mirrored in (column, column.conj()):
             layers.append(Points(mirrored.real, mirrored.imag, colours, 2.2 if many else 3.5, order=3.0))
-    ends, name, unit = (-half, half), str(parameter.name), " [1/s]" * standing
+    name, unit = str(parameter.name), " [1/s]" * standing
     value = Value(name, label(parameter, 60), scale(parameter)[0], norm, "neither", colour_map())
-    axes = Axis(f"real part{unit}", limits=ends), Axis(f"imaginary part{unit}", limits=ends)
+    across, up = (
+        Axis(f"{part} part{unit}", limits=(-x, x)) for part, x in zip(("real", "imaginary"), sides, strict=True)
+    )
     title = f"{'eigenvalues' if standing else 'multipliers'} of branch {first}"
-    plot = Plot(layers, *axes, title, grid="", square=True, scale=None if many else value)
+    plot = Plot(layers, across, up, title, grid="", square=not standing, scale=None if many else value)
     largest = values[:, 0] if len(points) else np.zeros(0)
-    outside = int((np.maximum(np.abs(largest.real), np.abs(largest.imag)) > half).sum())
+    outside = int(((np.abs(largest.real) > sides[0]) | (np.abs(largest.imag) > sides[1])).sum())
     note = f"The plane leaves out {outside} of {len(points)} orbits' largest multiplier" if outside else ""
     return plot, note
 

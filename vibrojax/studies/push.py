@@ -24,7 +24,7 @@ from vibrojax.periodic.lane_stages import plan_of, run_lanes
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.parameters import positive
-from vibrojax.pictures.axes import axis, margins, number, scale, values_along, with_unit
+from vibrojax.pictures.axes import axis, margins, number, scale, symbol, values_along, with_unit
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_names
 from vibrojax.pictures.contents import POINT, varied
 from vibrojax.pictures.plots import Axis, Bars, Key, Layer, Line, Look, Plot, Sheet, Text, dots, key, level, patch
@@ -48,15 +48,13 @@ _MOTION = "motion"
 def smallest_pushes(ds: xr.Dataset) -> Sheet:
     """Draw the smallest push in each state variable, with a panel for each variable.
 
-    Several machines are drawn as curves over their parameter, one curve for each sign of the push. One machine is drawn
-    as a bar for each sign.
+    Several machines are drawn as curves over their parameter, and one machine as a bar, for each sign of the push.
     """
     if POINT in ds.dims and ds.sizes[POINT] == 1:
         ds = ds.isel({POINT: 0})
-    states = _pushed(ds)
-    rows, several = -(-len(states) // 2), POINT in ds.dims
-    plots = [(_curves if several else _sides)(ds, state) for state in states]
-    plots = [replace(plot, place=divmod(k, 2)) for k, plot in enumerate(plots)]
+    states, several = _pushed(ds), POINT in ds.dims
+    along = sorted((counts := varied(ds)), key=lambda name: -counts[name]) or [POINT]  # that of most values first
+    plots = [_curves(ds, state, along) if several else _sides(ds, state) for state in states]
     known = [ds[f"bound_{state}"] > 0 for state in states]
     returning = any(bool((ds[f"{_PUSH}{s}"].isnull() & k).any()) for s, k in zip(states, known, strict=True))
     leaving = any(bool(ds[f"{_PUSH}{state}"].notnull().any()) for state in states)
@@ -70,25 +68,27 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
         keys.append(hollow if several else patch("#FFFFFF", hollow.label, **_RETURNS))
     keys.append(key("greatest push tried", **_BOUND))
     none_leaves = "No push up to the greatest tried leaves the working cycle"
-    about = margins(ds, none_leaves if returning and not (leaving or several) else "")
-    return Sheet(plots, (8.6, 2.3 * rows + 0.6), keys=[keys], **about)
+    each = f"One line for each value of {', '.join(symbol(ds[name]) for name in along[1:])}" * (len(along) > 1)
+    about = margins(ds, none_leaves if returning and not (leaving or several) else "", each)
+    placed = [replace(plot, place=divmod(k, 2)) for k, plot in enumerate(plots)]
+    return Sheet(placed, (8.6, 2.3 * -(-len(states) // 2) + 0.6), keys=[keys], **about)
 
 
-def _curves(ds: xr.Dataset, state: str) -> Plot:
-    """Draw the smallest pushes of several machines over their parameter."""
-    (factor, unit), push = scale(ds[f"bound_{state}"]), ds[f"{_PUSH}{state}"]
-    bound = ds[f"bound_{state}"].values * factor
-    over = next(iter(varied(ds)), POINT)
+def _curves(ds: xr.Dataset, state: str, along: list[str]) -> Plot:
+    """Draw the smallest pushes of machines over the first parameter, in a line for each value of the others."""
+    (factor, unit), (over, *others) = scale(ds[f"bound_{state}"]), along
     x = values_along(ds[over]) if over in ds.coords else np.arange(ds.sizes[POINT], dtype=float)
-    order = np.argsort(x, kind="stable")
+    order = np.lexsort((x, *(ds[name].values for name in others)))
+    ends = 1 + np.flatnonzero(np.diff(x[order]) < 0)  # of the lines
+    pushes = factor * np.stack([ds[f"bound_{state}"], *(ds[f"{_PUSH}{state}"].sel(sign=sign) for sign in _SIDES)])
+    x, bound, *both = np.insert(np.vstack([x, pushes])[:, order], ends, np.nan, axis=1)
     layers: list[Layer] = []
-    for sign, (colour, marker, _) in _SIDES.items():
-        y = push.sel(sign=sign).values * factor
+    for y, (sign, (colour, marker, _)) in zip(both, _SIDES.items(), strict=True):
         stays = np.isnan(y) & (bound > 0)
-        layers.append(Line(x[order], y[order], colour, 1.0, marker=marker))
+        layers.append(Line(x, y, colour, 1.0, marker=marker))
         layers.append(dots(x[stays], bound[stays], colour=colour, marker=marker, size=5.0 + sign, face="none"))
-    layers.append(Line(x[order], bound[order], **_BOUND))
-    top = 1.12 * float(np.nanmax([bound, *(push.transpose("sign", ...).values * factor)]))
+    layers.append(Line(x, bound, **_BOUND))
+    top = 1.12 * float(np.nanmax(pushes))
     across = axis(ds[over], group="over") if over in ds.coords else Axis("machine", group="over")
     up = Axis(with_unit(f"push in {SYMBOLS.get(state, state)}", unit), limits=(-0.03 * top, top or 1.0))
     return Plot(layers, across, up, at={_MOTION: _after(state)})
@@ -109,11 +109,11 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
         up = height if leaves else height / 2
         layers.append(Bars([side - 0.3], [0.0], [0.6], [height], fill, **look))
         layers.append(Text(float(side), up, text, baseline="bottom", halo=1.5, offset=(0.0, 3.0 * leaves)))
-    ticks = [(float(k), _SIDES[int(sign)][2]) for k, sign in enumerate(ds["sign"].values)]
+    ticks = [(float(k), _SIDES[int(sign)][2].removesuffix(" push")) for k, sign in enumerate(ds["sign"].values)]
     top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
     label = with_unit(f"push in {SYMBOLS.get(state, state)}", unit)
     size_axis = Axis(label, limits=(0.0, top or 1.0), ticks=None if stable else [])
-    across = Axis(name="sign", ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over")
+    across = Axis("push", "sign", ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over")
     return Plot(layers, across, size_axis, at={_MOTION: _after(state)}, grid="")
 
 

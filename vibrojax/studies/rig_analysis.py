@@ -15,6 +15,7 @@ from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, Where, log_lines, 
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.axes import in_units, margins, pretty_unit
 from vibrojax.pictures.contents import POINT
+from vibrojax.pictures.layout import is_narrow
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots, upright
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.settings.values import choice, warn_if_far
@@ -64,6 +65,7 @@ _DRILLERS = {
 """Factor and name of the units of drillers, by SI unit."""
 
 UNITS = ("driller", "si")
+_WIDTH_OF_PAGE = 7.5  # [inch] up to which the tracks are below the founder point
 _TITLE_LETTERS = 18  # of a line above a track
 _TRIM = (2.0, 98.0)
 """Percentiles between which most values lie. Values further away than these differ are not drawn, but counted."""
@@ -182,26 +184,32 @@ def vertical(ds: xr.Dataset) -> tuple[Axis, Rows]:
 
 
 def rig_picture(ds: xr.Dataset) -> Sheet:
-    """Draw the rate over the weight with the founder point, and the tracks over depth or row."""
+    """Draw the rate over the weight with the founder point, and the tracks over depth or row.
+
+    In a chosen width, the tracks are below the founder point.
+    """
     tracks = [name for name in TRACKS if name in ds and np.isfinite(ds[name].values).any()]
     down, height = vertical(ds)
     founder, force = float(ds["founder_weight"]) * _unit(ds, "N")[0], _unit(ds, "N")[1]
     mark: list[Layer] = [upright(founder, colour=IMPACT, dash="--", width=1.0)] if np.isfinite(founder) else []
+    size, below = (4.4 + 1.5 * len(tracks), 5.6), int(is_narrow(_WIDTH_OF_PAGE) and WEIGHT in ds)
     plots = []
     if WEIGHT in ds:
-        across, up = (_axis(ds, name, name.replace("_", " "), 5) for name in (WEIGHT, RATE))
+        across, up = (_axis(ds, name, name.replace("_", " "), 7) for name in (WEIGHT, RATE))
         cloud = dots(_drawn(ds, WEIGHT)[0], _drawn(ds, RATE)[0], colour=FAINT, size=1.5)
         title = f"founder point at {founder:.3g} {force}" if mark else "no founder point"
-        plots.append(Plot([cloud, *mark], across, up, title))
-    for k, name in enumerate(tracks, 1):
+        plots.append(Plot([cloud, *mark], across, up, title, (0, 0, 1, len(tracks) or 1) if below else (0, 0)))
+    for k, name in enumerate(tracks, 1 - below):
         line = Line(_drawn(ds, name)[0], height, BIT, 0.6, marker=".", size=1.0)
         title = fill(name.replace("_", " ").replace("percussive specific", "percussive"), _TITLE_LETTERS)
-        plots.append(Plot([line, *mark * (name == WEIGHT)], _axis(ds, name), down, title, (0, k)))
-    widths = [2.4, *[1.0] * len(tracks)]
-    return Sheet(plots, (4.4 + 1.5 * len(tracks), 5.6), widths, **margins(ds, point=LIMITS_OF_LOGS))
+        plots.append(Plot([line, *mark * (name == WEIGHT)], _axis(ds, name), down, title, (below, k)))
+    about = margins(ds, point=LIMITS_OF_LOGS)
+    if below:
+        return Sheet(plots, (size[0], 1.5 * size[1]), heights=(1.0, 1.6), **about)
+    return Sheet(plots, size, [2.4, *[1.0] * len(tracks)], **about)
 
 
-def _axis(ds: xr.Dataset, name: str, text: str = "", intervals: int = 3) -> Axis:
+def _axis(ds: xr.Dataset, name: str, text: str = "", intervals: int = 4) -> Axis:
     """Return an axis on which no spike flattens the other values; its label says how many are beyond."""
     values, unit = _drawn(ds, name)
     known = values[np.isfinite(values)]

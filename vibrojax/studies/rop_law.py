@@ -195,7 +195,7 @@ def fit_rop(
     limit = BLOCK_LIMIT if measured else AIC_LIMIT
     attributes = dataset_attributes(
         "fit",
-        f"rate-of-penetration law: {title_of(data, place.file)}",
+        f"Rate-of-penetration law: {title_of(data, place.file)}",
         "\n".join(filter(None, (f"fit {place.file}", str(data.attrs.get("history", ""))))),
         **{name: data.attrs[name] for name in _KEPT if name in data.attrs},
         along=along,

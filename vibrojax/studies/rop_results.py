@@ -58,6 +58,7 @@ _USES: dict[str, tuple[str, Look]] = {
     "above-founder": ("above the founder weight", {"marker": "+", "edge_width": 0.7, "size": 5.0}),
     "left-out": ("left out of the fit", {"marker": "x", "colour": IMPACT, "edge_width": 1.2, "size": 5.0}),
 }
+_CHOSEN: Look = {"size": 9.0, "face": "none", "edge_width": 1.2}  # a ring around the point of the form
 _MOST_GROUPS, _MOST_COLUMNS = 6, 3
 _PANEL_WIDTH, _PANEL_HEIGHT = 2.6, 2.8  # of a group [inch]
 _CLOUD = 100  # lanes of a group from which on they are a faint cloud below the curves
@@ -265,10 +266,12 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     groups, count = facets(fit, (), _MOST_GROUPS), fit["C"].size // fit.sizes[FORM]
     along = "the rows of the table" if fit.attrs["along"] == POINT else fit.attrs["along"]
     limit = BLOCK_LIMIT if fit["cv_error"].notnull().any() else AIC_LIMIT
+    force = float(fit.attrs.get("reference_force", np.nan))
     strong = bool((fit["evidence_against"] > _MOST_EVIDENCE).any())
     notes = [
         f"Data and curves of {len(groups)} of {count} groups" * (len(groups) < count),
         f"Fitted along {along}; bars and bands of one standard error of C",
+        "η = P/D, " + ("the mean force over the threshold" if np.isnan(force) else f"where D is {force / 1e3:.4g} kN"),
         f"Evidence above {limit:g} rejects a form",
         f"Evidence above {_MOST_EVIDENCE:g} is drawn at {_MOST_EVIDENCE:g}" * (longest_axis(fit).name != "" and strong),
         LIMITS_OF_LOGS * is_log(fit),
@@ -289,8 +292,11 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         for text, sign in {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}.items():
             formula = formula.replace(text, sign)
         if len(groups) == 1:
-            formula += f"\nevidence against {float(fit['evidence_against'].sel({FORM: name}).squeeze()):.1f}"
-        keys[0].append(key(f"{name}\n{formula}", dash=_DASHES.get(name, "-"), colour=form_colour(name)))
+            of = fit.sel({FORM: name}).squeeze()
+            against = float(f"{float(of['evidence_against']):.3g}")
+            is_chosen = int(of["standing"]) == Standing.CHOSEN
+            formula += "\nchosen" if is_chosen else f"\nevidence against {number(against)}"
+        keys[0].append(key(f"{name}: {formula}", dash=_DASHES.get(name, "-"), colour=form_colour(name)))
     size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * -(-len(groups) // wide) + STACK_MARGINS
     above, x = Sheet(plots, size, keys=keys, **margins(fit, *notes)), longest_axis(fit)
     if not x.name:
@@ -311,12 +317,12 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         if name == "evidence_against":
             kept = f"not rejected: up to {limit:g}"
             layers.append(Area([-np.inf, np.inf], [0.0, 0.0], [limit, limit], FAINT, 0.25, label=kept))
-            for _, colour, lanes in lines:
+            for *_, lanes in lines:
                 chosen = np.where(np.ravel(lanes["standing"]) == Standing.CHOSEN, np.ravel(lanes[name]), np.nan)
-                layers.append(dots(x.of(lanes), chosen, size=9.0, colour=colour, order=3.0))
+                layers.append(dots(x.of(lanes), chosen, **_CHOSEN))
         return Plot(layers, x.axis(shown), value_axis(value, group=name))
 
-    keys[1].insert(0, dots(label="chosen form", size=9.0))
+    keys[1].insert(0, dots(label="chosen form", **_CHOSEN))
     draws = [lambda lines: draw(lines, "C"), lambda lines: draw(lines, "evidence_against")]
     sheet = row_per_facet(shown, x, FORM, draws, keys, *notes)
     return stacked(above, sheet)
@@ -364,7 +370,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
     is_within = [(x >= low) & (x <= high) for x, (low, high) in ((across * relief, right), (rate, up))]
     if beyond := int((known & ~np.all(is_within, axis=0)).sum()):
         axes = replace(axes[0], label=f"{text}\n{beyond} beyond"), axes[1]
-    shown = replace(axes[0], limits=right, group="force"), replace(axes[1], limits=up if top > 0 else (None, None))
+    shown = replace(axes[0], limits=right), replace(axes[1], limits=up if top > 0 else (None, None))
     return Plot(layers, *shown, title, place, at(group))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
-from matplotlib.colors import Normalize
+from matplotlib.colors import ListedColormap, Normalize
 
 from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.io.attributes import flags
@@ -24,7 +24,9 @@ from vibrojax.periodic.derivatives import DERIVATIVE_REASONS, MODULUS, NO_ORBIT,
 from vibrojax.periodic.lane_stages import run_lanes
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.pictures.axes import symbols_of
+from vibrojax.pictures.axes import margins, symbols_of
+from vibrojax.pictures.colours import Value
+from vibrojax.pictures.layout import is_narrow
 from vibrojax.pictures.plots import Axis, Cells, Layer, Plot, Sheet, Text
 from vibrojax.progress import Progress
 from vibrojax.scenes import SCENES, Scene
@@ -256,14 +258,17 @@ def read_names(place: Place, value: str | Sequence[str], known: Collection[str])
     return names
 
 
-SMALLEST_DRAWN = 0.05
-"""Elasticity below which a cell shows no number."""
+SMALLEST_DRAWN, GREATEST_COLOURED = 0.05, 1.5
+"""Elasticity below which a cell shows no number, and above which its colour does not change."""
+
+_MOST_NUMBERS = 8  # parameters of a narrow picture whose cells hold numbers
 
 
 def elasticities(ds: xr.Dataset) -> Sheet:
     """Draw the median elasticity of each variable with respect to each parameter, over the valid lanes.
 
-    The elasticity is the relative change of the variable per relative change of the parameter.
+    The elasticity is the relative change of the variable per relative change of the parameter. A narrow picture of many
+    parameters shows colours without numbers.
     """
     valid = ds["valid"].values.ravel() == 1
     by = [str(name) for name in ds["parameter"].values]
@@ -281,16 +286,21 @@ def elasticities(ds: xr.Dataset) -> Sheet:
             rows[name.replace("_", " ")] = row
     table = np.array(list(rows.values())).reshape(len(rows), len(by))
     across, up = np.arange(len(by) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5
-    norm = Normalize(-3.0, 3.0)
-    layers: list[Layer] = [Cells(across, up, np.clip(table, -1.5, 1.5), colormaps["RdBu_r"], norm, hatched=False)]
-    for (i, j), value in np.ndenumerate(table):
-        if abs(value) >= SMALLEST_DRAWN:
-            layers.append(Text(float(j), float(i), f"{value:.1f}".replace("-", "−"), colour="#000000", size=6.0))
+    pale = ListedColormap(colormaps["RdBu_r"](np.linspace(0.25, 0.75, 256)))  # on which numbers can be read
+    norm = Normalize(-GREATEST_COLOURED, GREATEST_COLOURED)
+    coding = Value("elasticity", "elasticity", 1.0, norm, "both", pale)
+    layers: list[Layer] = [Cells(across, up, table, pale, norm, hatched=False)]
+    fits = not is_narrow() or len(by) <= _MOST_NUMBERS
+    for (i, j), x in np.ndenumerate(table):
+        if fits and abs(x) >= SMALLEST_DRAWN:
+            layers.append(Text(float(j), float(i), f"{x:.1f}".replace("-", "−"), colour="#000000", size=7.0))
     signs = symbols_of(ds)
     ticks = [[(float(k), signs.get(x, x)) for k, x in enumerate(texts)] for texts in (by, list(rows))]
-    plot = Plot(layers, Axis(ticks=ticks[0]), Axis(ticks=ticks[1], reversed=True))
-    size = 1.8 + 0.62 * len(by), 1.2 + 0.27 * max(len(rows), 1)
-    return Sheet([plot], size, title=f"Median elasticity at {counted(int(valid.sum()), 'orbit')}")
+    plot = Plot(layers, Axis("parameter", ticks=ticks[0]), Axis(ticks=ticks[1], reversed=True), scale=coding)
+    size = 1.8 + 0.62 * len(by), 1.9 + 0.27 * max(len(rows), 1)
+    about = margins(ds, "Elasticity: relative change of the variable per relative change of the parameter")
+    about["title"] = f"Median elasticity at {counted(int(valid.sum()), 'orbit')}"
+    return Sheet([plot], size, **about)
 
 
 @dataclass(frozen=True)

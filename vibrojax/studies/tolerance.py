@@ -27,7 +27,7 @@ from vibrojax.measures.labels import REGIMES, UNBOUNDED
 from vibrojax.pictures.axes import axis, margins, pretty_unit, quantity_text, scale, value_text, values_along
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_keys
 from vibrojax.pictures.contents import POINT
-from vibrojax.pictures.plots import Layer, Look, Plot, Points, Sheet, dots, key, level
+from vibrojax.pictures.plots import Key, Layer, Look, Plot, Points, Sheet, dots, key, level
 from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import read_names
@@ -151,6 +151,7 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
     rows = [name for name in _DRAWN if name in ds and ds[name].notnull().any()] or ["period"]
     lanes = ds if "start" in ds.dims else ds.expand_dims("start")
     starts = [str(name) for name in np.atleast_1d(lanes["start"].values)] if "start" in lanes.coords else [""]
+    edge: Look = {"edge": "#4D4D4D", "edge_width": 0.4}
     plots = []
     for row, quantity in enumerate(rows):
         for column, name in enumerate(names):
@@ -159,7 +160,7 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
                 lane = lanes.isel(start=k)
                 colours = [REGIME_COLOURS[int(flag)] for flag in regime_cells(lane["regime"])]
                 y = lane[quantity].values * scale(lanes[quantity])[0]
-                look: Look = {"marker": _MARKERS[k % len(_MARKERS)], "edge": "#4D4D4D", "edge_width": 0.4}
+                look = edge | {"marker": _MARKERS[k % len(_MARKERS)]}
                 # Later starts are smaller: of samples that several starts bring to one motion, all markers show.
                 size = max(6.0 / 3.0 ** (k / 2), 2.0)
                 layers.append(level(y[0], order=0.0, **_NOMINAL))
@@ -170,7 +171,7 @@ def extremes_picture(ds: xr.Dataset) -> Sheet:
             across = axis(ds[name], group=name, intervals=4)
             up = axis(lanes[quantity], group=quantity)
             plots.append(Plot(layers, across, up, place=(row, column)))
-    keys = regime_keys([lanes["regime"]])
+    keys: list[Key] = [dots(label=x.label, colour=x.colour, size=6.0, **edge) for x in regime_keys([lanes["regime"]])]
     for marker, start in zip(_MARKERS, starts if len(starts) > 1 else [], strict=False):
         keys.append(dots(label=f"start: {start}", marker=marker))
     keys.append(dots(label="least and greatest", **_EXTREME))
