@@ -415,7 +415,8 @@ def test_rows_beyond_the_panel_of_a_fit_are_counted():
     fit = fit_rop(xr.Dataset({name: ("frequency", values) for name, values in data.items()}), progress=False)
     (plot,) = sheet_of(fit).plots
     assert "η = P/D, the mean force over the threshold" in sheet_of(fit).note
-    assert plot.x.label == "relief P/D\n2 beyond" and {"data", "left out of the fit"} <= {*labels(sheet_of(fit))}
+    assert plot.x.label == "relief P/D\n2 rows outside the panel"
+    assert {"data", "left out of the fit"} <= {*labels(sheet_of(fit))}
 
 
 # Figures and files.

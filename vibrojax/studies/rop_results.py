@@ -369,7 +369,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
     right, up = (across * (low - room), across * (high + room)), (-0.06 * top, 1.1 * top)
     is_within = [(x >= low) & (x <= high) for x, (low, high) in ((across * relief, right), (rate, up))]
     if beyond := int((known & ~np.all(is_within, axis=0)).sum()):
-        axes = replace(axes[0], label=f"{text}\n{beyond} beyond"), axes[1]
+        axes = replace(axes[0], label=f"{text}\n{counted(beyond, 'row')} outside the panel"), axes[1]
     shown = replace(axes[0], limits=right), replace(axes[1], limits=up if top > 0 else (None, None))
     return Plot(layers, *shown, title, place, at(group))
 
