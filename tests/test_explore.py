@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from matplotlib import colormaps
 from matplotlib.colors import Normalize, to_hex
 from refusals import command_refusal
+from systems import BALL
 
 import vibrojax as vj
-from vibrojax.explorer import Cell, contents_of, encode, module_text, page_text, write, write_page
+from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, page_text, write, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
@@ -114,6 +115,18 @@ def test_sticking_bit_moves_back_with_drive(cells: list[Cell]) -> None:
             at_rest |= is_event
         np.testing.assert_allclose(cell.states["v1"][at_rest], -1.5, atol=1e-6)
     assert events["stick"] >= 1 and events["slip"] >= 4
+
+
+def test_states_before_and_after_an_impact_are_at_its_own_time() -> None:
+    """A ball that loses half of its velocity at each impact, as a lane of a sweep and as a sampled trajectory."""
+    lane = {"scene": BALL, "starts": [[1.0, 0.0]], "grid": {"r": [0.5]}, "run": {"settle": 0.3, "observe": 0.2}}
+    swept = next(iter(contents_of(vj.run_sweep(lane, progress=False), own=read_sweep(lane), progress=False).cells))
+    motion = vj.simulate(BALL, start=[1.0, 0.0], duration=2.0, sampling=0.011, progress=False)
+    for cell in (swept, cell_of(motion)):
+        before = np.flatnonzero(cell.flags & 7 == EVENTS.index("impact"))[:3]
+        assert before.size and (cell.time[before] == cell.time[before + 1]).all()
+        np.testing.assert_allclose(cell.states["v"][before + 1], -0.5 * cell.states["v"][before], rtol=1e-3)
+        np.testing.assert_allclose([cell.states["x"][before], cell.states["x"][before + 1]], 0.0, atol=1e-4)
 
 
 # Documents.

@@ -55,8 +55,9 @@ const SHAPES = { stick: ["s", "stick"], slip: ["^", "slip"], impact: ["D", "impa
 
 function markEvents(c, cell, xs, ys, sx, sy, ink, kinds) {
   for (let i = 0; i < xs.length; i++) {
-    const kind = EVENTS[cell.flags[i] & 7];
-    if (kinds.includes(kind)) mark(c, SHAPES[kind][0], sx(xs[i]), sy(ys[i]), kind === "impact" ? 4.2 : 3.4, ink[SHAPES[kind][1]], ink.plate);
+    const kind = EVENTS[cell.flags[i] & 7], k = i % cell.time.length;
+    if (!kinds.includes(kind)) continue;
+    for (const j of cell.time[k + 1] === cell.time[k] ? [i, i + 1] : [i]) mark(c, SHAPES[kind][0], sx(xs[j]), sy(ys[j]), kind === "impact" ? 4.2 : 3.4, ink[SHAPES[kind][1]], ink.plate);  // before and after a jump
   }
 }
 
