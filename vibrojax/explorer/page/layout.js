@@ -71,5 +71,5 @@ export function layOut(page) {
       sheet,
       page.table),
     el("footer", { class: "vx-foot" }, el("p", { text: [data.scene, data.source].filter(Boolean).join(", ") }),
-      el("p", { text: data.map === false ? POINTS_HELP + PLOTS_HELP : data.kind === "plots" ? PLOTS_HELP : HELP })));
+      el("p", { text: data.map === false ? POINTS_HELP + PLOTS_HELP : data.kind === "plots" || data.history ? PLOTS_HELP : HELP })));
 }
