@@ -26,7 +26,7 @@ from vibrojax.explorer.write import blocks_of
 from vibrojax.maps.read import read_sweep
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
-from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, level
+from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, dots, level
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
 PLANE = {
@@ -276,6 +276,24 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     look = {"shape": "line", "colour": "#112233", "dash": line["dash"], "marker": "s", "hollow": False}
     assert law == {"text": "law"} | look and line["label"] == "law"
     json.dumps(document, allow_nan=False)
+
+
+def test_legend_has_signs_as_they_are_drawn_and_the_note_of_the_picture() -> None:
+    """A sign in ink takes the colour of its marks; a line that a mark hides has no entry."""
+    blue, limits = "#56b4e9", (0.0, 1.0)
+    layers: list[Layer] = [
+        dots([0.5], [0.5], colour=blue, size=9.0),
+        Line([0.5, 0.51], [0.5, 0.5], "#aa0000", label="short"),
+    ]
+    layers.append(Line([0.1, 0.9], [0.5, 0.5], "#aa0000", label="long"))
+    chosen = dots([], [], colour="#222222", size=9.0, label="chosen")
+    sheet = Sheet(
+        [Plot(layers, Axis("x", limits=limits), Axis("y", limits=limits))], keys=[[chosen]], note="a = 1. Bars: errors"
+    )
+    ds = xr.Dataset(coords={"a": 1.0})
+    figure = figure_document([sheet], ds, [])
+    assert {key["text"]: key["colour"] for key in figure["keys"]} == {"chosen": blue, "long": "#aa0000"}
+    assert figure["note"] == "Bars: errors"
 
 
 def test_modules_share_one_scope_without_clashes() -> None:

@@ -132,7 +132,8 @@ def _picture_document(ds: xr.Dataset, page: Document) -> Document | None:
         LOG.info("explore: no picture: %s", error)
         return None
     # The legend of the map has these.
-    known = set(document.REGIME_MEANINGS) if drawn == ["regime"] else set()
+    coloured = drawn == ["regime"] or "inner" in page["variables"][0]
+    known = set(document.REGIME_MEANINGS) if coloured else set()
     known = {"stable", "unstable", *document.BORDER_MEANINGS} if page["kind"] == "family" else known
     figure["keys"] = [key for key in figure["keys"] if key["text"].split(" ")[0] not in known]
     return figure if figure["plots"] or figure["images"] else None
@@ -147,6 +148,8 @@ def _plots_document(ds: xr.Dataset) -> Document:
         figure = figure_document(analysis_of(ds).page_figures(ds), ds, [])
     except InputError as error:
         raise InputError(f"explore: {error}") from None
+    if kind_of(ds) == "study":
+        figure["note"] = f"Above the bars: mean ± standard deviation over the samples. {figure['note']}"
     return document.document_with(ds, "plots", _numbers(ds), figure=figure, without="")
 
 

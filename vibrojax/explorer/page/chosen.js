@@ -251,12 +251,12 @@ function formsOf({ grid, cell }) {
   const text = (variable, k) => {
     const error = grid.variables.get(`${variable.name}_stderr`), value = of(variable, k);
     if (Number.isNaN(value)) return "—";
-    return variable.flags || !error || Number.isNaN(of(error, k)) ? grid.valueText({ ...variable, units: "" }, value) : `${numberText(value * variable.factor)} ± ${numberText(of(error, k) * variable.factor, 2)}`;
+    return variable.flags || !error || Number.isNaN(of(error, k)) ? grid.valueText({ ...variable, units: "" }, value) : `${numberText(value * variable.factor)} ±\u00a0${numberText(of(error, k) * variable.factor, 2)}`;
   };
   const rows = [...grid.variables.values()].filter(({ name, axes }) => axes.includes("form") && !/_stderr$/.test(name))
     .map((variable) => [variable, known.map((k) => text(variable, k))]).filter(([, texts]) => new Set(texts).size > 1);
   const signs = { eta0: "η₀", r_squared: "R²", aic: "AIC" }, name = ({ name, units, long_name }) => explained(el("span", {}, signs[name] ?? name.replaceAll("_", " "), units ? ` [${units}]` : ""), long_name);
-  return [el("div", { class: "vx-numbers vx-forms" }, el("table", {}, el("tbody", {}, el("tr", {}, el("td"), ...known.map((k) => el("th", { scope: "col", text: form.values[k] }))),
+  return [el("div", { class: "vx-numbers vx-forms" }, el("p", { text: "η = P/D: mean force P divided by the threshold D of the rock; ± standard error" }), el("table", {}, el("tbody", {}, el("tr", {}, el("td"), ...known.map((k) => el("th", { scope: "col", text: form.values[k] }))),
     ...rows.map(([variable, texts]) => el("tr", {}, el("th", { scope: "row" }, name(variable)), ...texts.map((one) => el("td", { text: one })))))))];
 }
 

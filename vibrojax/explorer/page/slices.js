@@ -9,7 +9,7 @@ import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, read } from
 /** Draw the slices of a page's map into its element. */
 export function drawSlices(page) {
   const x = page.direction(page.shown.x), y = page.direction(page.shown.y), { slices } = page;
-  const wanted = y && x.column === x.axis ? [x, y] : [];
+  const wanted = y && x.column === x.axis && x.column.numeric && y.column.numeric ? [x, y] : [];  // between names there is no course
   if (slices.childElementCount !== wanted.length)
     slices.replaceChildren(...wanted.map((_, k) => sliceFigure(k)));
   wanted.forEach((direction, k) => drawSlice(page, slices.children[k], direction, wanted[1 - k]));
