@@ -92,7 +92,7 @@ def figure_document(
 def _own_note(sheet: Sheet, ds: xr.Dataset) -> str:
     """Return the note of a sheet without what the head of the page says of the dataset."""
     note = sheet.note
-    for known in (point_text(ds), certified_text(ds)):
+    for known in (point_text(ds), point_text(ds.squeeze()), certified_text(ds)):
         note = note.removeprefix(known).removeprefix(". ")
     return note
 

@@ -227,6 +227,11 @@ def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, st
     try:
         return sweep_of_dataset(ds, orbits=False), ""
     except InputError as error:
+        if text_of(ds, "scene") not in SCENES:
+            return (
+                None,
+                "its system is known only to the Python session that defined it: pass its sweep to vj.write_page",
+            )
         return None, f"its motions cannot be computed: {str(error).removeprefix('orbits: ')}"
 
 

@@ -288,7 +288,7 @@ async function copy(text, beside, button) {
 function commands(page) {
   const calls = page.calls();
   if (!calls) {
-    const text = page.data.run && !page.apart ? "This system is known only to the Python session that defined it: pass its object to vj.simulate there." : "";
+    const text = page.data.run && !page.apart && !page.data.without ? "This system is known only to the Python session that defined it: pass its object to vj.simulate there." : "";
     return el("p", { class: "vx-motion", text });
   }
   const { command, python } = calls;
