@@ -127,6 +127,8 @@ def test_states_before_and_after_an_impact_are_at_its_own_time() -> None:
         assert before.size and (cell.time[before] == cell.time[before + 1]).all()
         np.testing.assert_allclose(cell.states["v"][before + 1], -0.5 * cell.states["v"][before], rtol=1e-3)
         np.testing.assert_allclose([cell.states["x"][before], cell.states["x"][before + 1]], 0.0, atol=1e-4)
+    document = contents_of(motion.assign(drift_estimate=np.inf)).document  # a number without an end refuses no page
+    assert "r = 0.5" in document["common"] and "bit" not in document["meanings"]["equilibrium"]
 
 
 # Documents.

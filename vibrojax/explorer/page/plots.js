@@ -184,7 +184,7 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
     c.fillText(y.label, 0, 0, room(middle[1], height));
     c.restore();
   }
-  canvas.frame = { x: sx, y: sy, box, context: c, xAxis: x, yAxis: y };
+  canvas.frame = { x: sx, y: sy, box, context: c, xAxis: x, yAxis: y, xTicks };
   return canvas.frame;
 }
 
