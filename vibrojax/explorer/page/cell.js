@@ -136,18 +136,24 @@ const layered = (columns) => columns.map((one, k) => [one, k, one.name === "x4" 
 
 const CYCLE_PIXELS = 5, BAND_PIXELS = 6;
 
-/** A line; where its oscillations are too dense to be told apart, a band from the least to the greatest value, as in the pictures. */
-function drawDense(c, xs, ys, sx, sy, { left, right }, colour, width) {
-  const ends = Array.from({ length: Math.ceil((right - left) / BAND_PIXELS) }, () => [Infinity, -Infinity]);
+/** Whether a line over what is shown of an axis has more oscillations than can be told apart. */
+function isDense(xs, ys, sx, { left, right }) {
   let path = 0, low = Infinity, high = -Infinity;
   xs.forEach((x, i) => {
-    const k = Math.floor((sx(x) - left) / BAND_PIXELS), y = ys[i];
-    if (!(k in ends)) return;
-    if (i) path += Math.abs(y - ys[i - 1]);
-    [low, high] = [Math.min(low, y), Math.max(high, y)];
-    ends[k] = [Math.min(ends[k][0], y), Math.max(ends[k][1], y)];
+    if (sx(x) < left || sx(x) > right) return;
+    if (i) path += Math.abs(ys[i] - ys[i - 1]);
+    [low, high] = [Math.min(low, ys[i]), Math.max(high, ys[i])];
   });
-  if (!(path / (2 * (high - low)) > (right - left) / CYCLE_PIXELS)) { line(c, xs, ys, sx, sy, colour, width); return false; }
+  return path / (2 * (high - low)) > (right - left) / CYCLE_PIXELS;
+}
+
+/** A band from the least to the greatest value, as in the pictures. */
+function drawBand(c, xs, ys, sx, sy, { left, right }, colour) {
+  const ends = Array.from({ length: Math.ceil((right - left) / BAND_PIXELS) }, () => [Infinity, -Infinity]);
+  xs.forEach((x, i) => {
+    const k = Math.floor((sx(x) - left) / BAND_PIXELS);
+    if (k in ends) ends[k] = [Math.min(ends[k][0], ys[i]), Math.max(ends[k][1], ys[i])];
+  });
   c.fillStyle = colour;
   c.globalAlpha = 0.35;
   ends.forEach(([low, high], k) => { if (high >= low) c.fillRect(left + k * BAND_PIXELS, sy(high), BAND_PIXELS, Math.max(1, sy(low) - sy(high))); });
@@ -155,7 +161,6 @@ function drawDense(c, xs, ys, sx, sy, { left, right }, colour, width) {
   const edge = (which) => line(c, ends.flatMap((_, k) => [k, k + 1]), ends.flatMap((one) => [one[which], one[which]]), (k) => left + k * BAND_PIXELS, sy, colour, 0.9);
   edge(0);
   edge(1);
-  return true;
 }
 
 /** The whole course of a trajectory: states of one unit, from the beginning; a line where the observation begins. */
@@ -166,10 +171,10 @@ export function drawCourse(canvas, course, columns, isLast) {
     { limits: [course.time[0], course.time.at(-1)], label: isLast || canvas.source ? "time [s]" : "", said: "time [s]" },
     { limits: limitsOf(columns.map((one) => scaled(course[one.name], fy)), 0.06), label: withUnit(forces ? "force" : columns.map((one) => symbolOf(one.name)).join(", "), uy) },
     (c, sx, sy, box) => {
-      canvas.dense = false;
+      canvas.dense = columns.some((one) => isDense(course.time, course[one.name], sx, box));
       layered(columns).forEach(([one, k, wide]) => {
         const ys = scaled(course[one.name], fy);
-        canvas.dense = drawDense(c, course.time, ys, sx, sy, box, colourOf(ink, one.name, k), wide ?? 0.9) || canvas.dense;
+        if (canvas.dense) drawBand(c, course.time, ys, sx, sy, box, colourOf(ink, one.name, k)); else line(c, course.time, ys, sx, sy, colourOf(ink, one.name, k), wide ?? 0.9);
         read(forces ? one.long_name : symbolOf(one.name), course.time, ys, { joined: true });
       });
       if (course.observed) line(c, [course.observed, course.observed], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [4, 3]);
