@@ -16,16 +16,17 @@ from hypothesis import strategies as st
 from matplotlib import colormaps
 from matplotlib.colors import Normalize, to_hex
 from refusals import command_refusal
+from systems import BALL
 
 import vibrojax as vj
-from vibrojax.explorer import Cell, contents_of, encode, module_text, page_text, write, write_page
+from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, page_text, write, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, STUCK, StateColumn
 from vibrojax.explorer.plots_view import figure_document
 from vibrojax.explorer.write import blocks_of
 from vibrojax.maps.read import read_sweep
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
-from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, level
+from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, dots, level
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
 PLANE = {
@@ -114,6 +115,20 @@ def test_sticking_bit_moves_back_with_drive(cells: list[Cell]) -> None:
             at_rest |= is_event
         np.testing.assert_allclose(cell.states["v1"][at_rest], -1.5, atol=1e-6)
     assert events["stick"] >= 1 and events["slip"] >= 4
+
+
+def test_states_before_and_after_an_impact_are_at_its_own_time() -> None:
+    """A ball that loses half of its velocity at each impact, as a lane of a sweep and as a sampled trajectory."""
+    lane = {"scene": BALL, "starts": [[1.0, 0.0]], "grid": {"r": [0.5]}, "run": {"settle": 0.3, "observe": 0.2}}
+    swept = next(iter(contents_of(vj.run_sweep(lane, progress=False), own=read_sweep(lane), progress=False).cells))
+    motion = vj.simulate(BALL, start=[1.0, 0.0], duration=2.0, sampling=0.011, progress=False)
+    for cell in (swept, cell_of(motion)):
+        before = np.flatnonzero(cell.flags & 7 == EVENTS.index("impact"))[:3]
+        assert before.size and (cell.time[before] == cell.time[before + 1]).all()
+        np.testing.assert_allclose(cell.states["v"][before + 1], -0.5 * cell.states["v"][before], rtol=1e-3)
+        np.testing.assert_allclose([cell.states["x"][before], cell.states["x"][before + 1]], 0.0, atol=1e-4)
+    document = contents_of(motion.assign(drift_estimate=np.inf)).document  # a number without an end refuses no page
+    assert "r = 0.5" in document["common"] and "bit" not in document["meanings"]["equilibrium"]
 
 
 # Documents.
@@ -263,6 +278,24 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     look = {"shape": "line", "colour": "#112233", "dash": line["dash"], "marker": "s", "hollow": False}
     assert law == {"text": "law"} | look and line["label"] == "law"
     json.dumps(document, allow_nan=False)
+
+
+def test_legend_has_signs_as_they_are_drawn_and_the_note_of_the_picture() -> None:
+    """A sign in ink takes the colour of its marks; a line that a mark hides has no entry."""
+    blue, limits = "#56b4e9", (0.0, 1.0)
+    layers: list[Layer] = [
+        dots([0.5], [0.5], colour=blue, size=9.0),
+        Line([0.5, 0.51], [0.5, 0.5], "#aa0000", label="short"),
+    ]
+    layers.append(Line([0.1, 0.9], [0.5, 0.5], "#aa0000", label="long"))
+    chosen = dots([], [], colour="#222222", size=9.0, label="chosen")
+    sheet = Sheet(
+        [Plot(layers, Axis("x", limits=limits), Axis("y", limits=limits))], keys=[[chosen]], note="a = 1. Bars: errors"
+    )
+    ds = xr.Dataset(coords={"a": 1.0})
+    figure = figure_document([sheet], ds, [])
+    assert {key["text"]: key["colour"] for key in figure["keys"]} == {"chosen": blue, "long": "#aa0000"}
+    assert figure["note"] == "Bars: errors"
 
 
 def test_modules_share_one_scope_without_clashes() -> None:

@@ -420,6 +420,10 @@ def test_tracks_of_rig_log_choose_rows(browser: Any, tmp_path: Path) -> None:
         track = opened.page.locator(".vx-tracks canvas[role=img]").nth(1)
         x, y = track.evaluate("c => [(c.frame.box.left + c.frame.box.right) / 2, c.frame.y(1502.25)]")
         track.click(position={"x": x, "y": y})
+        ticks = opened.page.locator(".vx-tracks canvas[role=img]").evaluate_all(
+            "all => all.map(c => c.frame.xTicks.length)"
+        )
+        assert min(ticks) >= 3
         assert "depth = 1502.3 m" in title.inner_text() and numbers.inner_text() == "22.25 m/h"
         cloud = opened.page.locator(".vx-figure canvas[role=img]").first
         for key in ("ArrowRight", "End", "Enter"):

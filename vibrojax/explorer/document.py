@@ -28,7 +28,7 @@ from vibrojax.io.attributes import (
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.physics.parameters import REPLACED
-from vibrojax.pictures.axes import certified_text, is_geometric, point_text, pretty_unit, scale, symbol, typeset
+from vibrojax.pictures.axes import certified_text, is_geometric, number, point_text, pretty_unit, scale, symbol, typeset
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 from vibrojax.pictures.contents import POINT, RETURN, START
 from vibrojax.pictures.style import OTHER_COLOURS
@@ -63,6 +63,13 @@ REGIME_MEANINGS = {
 }
 """One sentence on each regime, which the page shows where its name is pointed at or has the focus."""
 
+OWN_MEANINGS = {
+    "equilibrium": "The motion comes to rest.",
+    "single-impact": "The motion repeats after one return, with one impact.",
+    "section": "An orbit begins or ceases to cross the section: beyond it, returns are counted differently.",
+}
+"""Sentences in place of those that speak of the drill, for systems of users."""
+
 BORDER_MEANINGS = {
     "fold": "A stable and an unstable orbit meet and vanish.",
     "period-doubling": "The orbit loses its stability to one that repeats after twice as many returns.",
@@ -93,6 +100,15 @@ def reading_text(ds: xr.Dataset) -> str:
     return ". ".join(part for part in (text, failed) if part)
 
 
+def common_text(ds: xr.Dataset) -> str:
+    """Return the values common to all lanes; of a system of a user with all its parameters, which have no list."""
+    listed = {*ds.coords, *(row["name"] for row in differing_of(ds))}
+    scene = text_of(ds, "scene")
+    values = {} if not scene or scene in SCENES else parameters_of(ds)
+    defaults = [f"{printable(name, 40)} = {number(value)}" for name, value in values.items() if name not in listed]
+    return ", ".join(filter(None, [*defaults, point_text(ds)]))
+
+
 def check_names(ds: xr.Dataset) -> None:
     """Raise `InputError` if a name cannot be a key of a JavaScript object, because every object has that name."""
     for name in (*ds.sizes, *ds.variables):
@@ -118,7 +134,7 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
     **Arguments:** `kind`: "grid", "family" or "motion"; `variables`: descriptions of the variables; `parts`: further
     keys of the document, which by default are empty or null.
     """
-    notes = [reading_text(ds), point_text(ds)]
+    notes, own = [reading_text(ds), common_text(ds)], text_of(ds, "scene") not in SCENES
     if run_seconds(ds) > COMMAND_MAX_SECONDS:
         notes.append(f"Each lane ran for {run_seconds(ds):g} s; the commands simulate {COMMAND_MAX_SECONDS:g} s")
     map_names = dict.fromkeys(variable["map"] for variable in variables if variable["map"])
@@ -131,10 +147,10 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
         "scene": text_of(ds, "scene"),
         "machine": {name: x for name, x in parameters_of(ds).items() if name in ("v", "delta", "bit_radius")},
         "source": text_of(ds, "source"),
-        "common": one_line(point_text(ds), LONGEST_TEXT),
+        "common": one_line(common_text(ds), LONGEST_TEXT),
         "notes": [one_line(note, LONGEST_TEXT) for note in notes if note],
         "variables": variables,
-        "meanings": REGIME_MEANINGS | BORDER_MEANINGS,
+        "meanings": REGIME_MEANINGS | BORDER_MEANINGS | (OWN_MEANINGS if own else {}),
         "maps": {name: [to_hex(colormaps[name](level)) for level in range(256)] for name in map_names},
     }
     return document | empty | parts

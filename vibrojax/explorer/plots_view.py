@@ -2,11 +2,12 @@
 
 A description holds the plots, the entries of their legends, and figures as images:
 
-    {"plots": [{"title", "x", "y": {"label", "limits", "log", "reversed", "ticks": [[value, text]] | null,
+    {"note": text, "plots": [{"title", "x", "y": {"label", "limits", "log", "reversed", "ticks": [[value, text]] | null,
                                     "direction": id of the page's direction along the axis, or null},
                 "at": {axis: index}: the map cells that the plot shows, "wide", "low", "square", "track", "bare": a
                 track beside another of the same axis, "items": [...]}],
-     "keys": [{"text", "colour", "shape": "line", "patch", "scale" or a mark, "dash": [...], "marker", "hollow"}],
+     "keys": [{"text", "colour", "shape": "line", "patch", "scale" or a mark, "dash": [...], "marker", "hollow",
+               "size"}],
      "images": [{"title", "data": a PNG file as a data URL}]}
 
 Items are in data coordinates, each with a "kind": "line" (x, y, label, colour, width, dash), "points" (x, y, label,
@@ -27,8 +28,10 @@ from matplotlib.figure import Figure
 
 from vibrojax.explorer.document import Document, json_value, one_line
 from vibrojax.explorer.encoding import pack
+from vibrojax.io.attributes import LONGEST_TEXT
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures import plots
+from vibrojax.pictures.axes import certified_text, point_text
 from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import INK, settings
 
@@ -40,6 +43,9 @@ LABEL_MAX_CHARACTERS = 120
 LOW_INCHES, WIDE_SHARE, TRACK_SHARE = 1.4, 0.62, 0.15
 """Height below which a plot is a strip, share of the sheet's width from which it has a row of its own, and share up to
 which plots stand side by side."""
+
+LEAST_LINE = 0.03
+"""Length of a line, as a share of the axes, below which it has no entry in the legend."""
 
 IMAGE_DPI = 160
 
@@ -60,9 +66,11 @@ def figure_document(
     `maps` is True.
     """
     panels: list[Document] = []
+    notes: list[str] = []
     keys: dict[str, Document] = {}
     for sheet in (plots.as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
         panels += _plots(sheet, ds, axes, drawn, maps)
+        notes.append(_own_note(sheet, ds))
         keys = {key["text"]: key for key in _keys(sheet, drawn)} | keys
     images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
     items = [item for plot in panels for item in plot["items"]]
@@ -73,8 +81,44 @@ def figure_document(
         key
         for key in keys.values()
         if key["shape"] == "scale" or key["colour"] in colours or (key["colour"] == INK and key["shape"] in shapes)
+        if not _is_hidden(key["text"], panels)
     ]
-    return {"plots": panels, "keys": shown, "images": images}
+    for key in shown:
+        _colour_as_drawn(key, items)
+    note = one_line(". ".join(filter(None, dict.fromkeys(notes))), LONGEST_TEXT)
+    return {"plots": panels, "keys": shown, "images": images, "note": note}
+
+
+def _own_note(sheet: Sheet, ds: xr.Dataset) -> str:
+    """Return the note of a sheet without what the head of the page says of the dataset."""
+    note = sheet.note
+    for known in (point_text(ds), point_text(ds.squeeze()), certified_text(ds)):
+        note = note.removeprefix(known).removeprefix(". ")
+    return note
+
+
+def _is_hidden(label: str, panels: Sequence[Document]) -> bool:
+    """Return whether all that has this label are lines too short to be seen, below the mark at their middle."""
+    shares: list[float] = []
+    for panel in panels:
+        for item in (item for item in panel["items"] if item.get("label") == label):
+            if item["kind"] != "line":
+                return False
+            for name in "xy":
+                known, (low, high) = [x for x in item[name] if x is not None], panel[name]["limits"]
+                shares.append(float(np.ptp(known or [0.0]) / abs(high - low or 1.0)))
+    return bool(shares) and max(shares) < LEAST_LINE
+
+
+def _colour_as_drawn(key: Document, items: Sequence[Document]) -> None:
+    """Give a sign in ink, which stands for marks of any colour, the colour of these marks if they have only one."""
+    if key["colour"] != INK or "size" not in key:
+        return
+    marks = (item for item in items if item["kind"] == "points" and item["shape"] == key["shape"])
+    alike = [item for item in marks if item["sizes"][:1] == [key["size"]] and any(y is not None for y in item["y"])]
+    colours = {colour for item in alike for colour in item["colours"]}
+    if len(colours) == 1:
+        key["colour"] = colours.pop()
 
 
 def _plots(
@@ -180,7 +224,7 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
             layer = plots.Points(layer.x, layer.y, colour, layer.size, layer.marker)
         if layer.marker:
             colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
-            sizes = [json_value(float(f"{size / 2:.3g}")) for size in np.atleast_1d(layer.sizes)[::step]]
+            sizes = [_half(size) for size in np.atleast_1d(layer.sizes)[::step]]
             look = {"colours": [to_hex(colour) for colour in colours], "sizes": sizes, "hollow": hollow}
             yield {"kind": "points", **about, **points, **look, "shape": layer.marker}
     elif isinstance(layer, plots.Bars):
@@ -229,6 +273,10 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
         }
 
 
+def _half(size: float) -> object:
+    return json_value(float(f"{size / 2:.3g}"))
+
+
 def _dash(dash: plots.Dash, width: float) -> list[float]:
     lengths = _DASHES.get(dash, ()) if isinstance(dash, str) else dash[1]
     return [round(1.3 * width * float(x), 3) for x in lengths]
@@ -251,7 +299,7 @@ def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
             continue
         key |= {"colour": to_hex(entry.colour), "hollow": entry.face in ("none", "white")}
         if not entry.dash:
-            yield key | {"shape": entry.marker or "o"}
+            yield key | {"shape": entry.marker or "o", "size": _half(entry.size)}
             continue
         marker = {"marker": entry.marker} if entry.marker else {}
         yield key | {"shape": "line", "dash": _dash(entry.dash, entry.width)} | marker

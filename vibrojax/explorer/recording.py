@@ -39,7 +39,13 @@ SHOWN_SECONDS = 2.0
 
 RETURN_SAMPLES, CELL_MAX_SAMPLES = 56, 180
 """Number of evenly spaced samples per return interval, and maximum for a motion, of up to four states; more states have
-more. Samples at events are added."""
+more. Samples at events are added, two where a state jumps."""
+
+TRAJECTORY_FINENESS = 6
+"""Ratio of the samples of a trajectory, which is the only motion of its page, to those of a lane."""
+
+LEAST_JUMP = 2e-3
+"""Least difference of the values before and after a jump, as a fraction of a state's range: a pixel of a plot."""
 
 PULSE_TOLERANCE, PULSE_MAX_CYCLES = 1e-3, 8
 """Largest difference of states one period apart, relative to half their peak-to-peak ranges, and longest period in
@@ -127,16 +133,29 @@ def _cell(
     ends: np.ndarray,
     states_at: Callable[[Samples], tuple[Mapping[str, Any], np.ndarray]],
     crossings: Callable[[np.ndarray], dict[str, np.ndarray]],
+    fineness: int = 1,
 ) -> Cell:
     """Return a part of a motion.
 
     **Arguments:** `path`: times and states that show how the states move; `ends`: times of all events, each of which
-    gets a sample; `states_at`: function of times that returns the states with their attributes, and the flags of the
-    samples but for events; `crossings`: function of the times of section crossings that returns the states there.
+    gets a sample, or two, before and after, if a state jumps; `states_at`: function of times that returns the states
+    with their attributes, and the flags of the samples but for events; `crossings`: function of the times of section
+    crossings that returns the states there; `fineness`: ratio of the number of samples to that of a lane.
     """
     tolerance = TIME_TOLERANCE * float(excerpt.shown)
-    times = _sample_times(*path, ends, int(excerpt.returns))
+    times = _sample_times(*path, ends, int(excerpt.returns), fineness)
     states, flags = states_at(times)
+    inside = np.unique(ends[(ends > times[0] + tolerance) & (ends < times[-1] - tolerance)])
+    before, after = (np.stack([*map(np.asarray, states_at(inside + by)[0].values())]) for by in (-tolerance, tolerance))
+    swing = np.ptp(np.stack([*map(np.asarray, states.values())]), axis=1)
+    jumps = inside[(np.abs(after - before) > LEAST_JUMP * swing[:, None]).any(axis=0)]
+    if jumps.size:
+        nearest = jumps[np.searchsorted((jumps[1:] + jumps[:-1]) / 2, times)]
+        times = np.sort(np.concatenate([times[np.abs(times - nearest) > tolerance], jumps, jumps]))
+        sides = np.zeros(len(times))
+        for index, side in enumerate((-tolerance, tolerance)):
+            sides[np.searchsorted(times, jumps) + index] = side
+        states, flags = states_at(times + sides)
     for name in EVENT_PRIORITY:
         events = moments.get(name, np.zeros(0))
         indices = np.searchsorted(times, events - tolerance)
@@ -162,7 +181,7 @@ def _cell(
     )
 
 
-def _sample_times(times: np.ndarray, states: np.ndarray, events: np.ndarray, returns: int) -> np.ndarray:
+def _sample_times(times: np.ndarray, states: np.ndarray, events: np.ndarray, returns: int, fineness: int) -> np.ndarray:
     """Return the times of samples: evenly spaced along the path of a motion, and at events within it.
 
     The path length is the sum of the elapsed time and the changes of all `states` (states, times), each relative to its
@@ -175,7 +194,7 @@ def _sample_times(times: np.ndarray, states: np.ndarray, events: np.ndarray, ret
     lengths = len(states) * np.diff(times) / (times[-1] - times[0]) + changes.sum(axis=0)
     path = np.concatenate([[0.0], np.cumsum(lengths)])
     # The bit's fast oscillation on the rock has a share of the path of its own.
-    count = round(min(RETURN_SAMPLES * max(returns, 1), CELL_MAX_SAMPLES) * max(1.0, len(states) / 4))
+    count = round(fineness * min(RETURN_SAMPLES * max(returns, 1), CELL_MAX_SAMPLES) * max(1.0, len(states) / 4))
     even = np.interp(np.linspace(0.0, path[-1], count + 1), path, times)
     samples = np.unique(np.concatenate([even, events[(events > times[0]) & (events < times[-1])]]))
     is_new = np.diff(samples) > TIME_TOLERANCE * (times[-1] - times[0])
@@ -281,6 +300,43 @@ def cell_of_record(scene: Scene[Any], record: Record, moments: Moments, excerpt:
 # Of a trajectory.
 
 
+def with_events(motion: xr.Dataset) -> tuple[Samples, dict[str, xr.DataArray]]:
+    """Return the times of a trajectory and its variables along them, with two more samples at each event.
+
+    These are the values before and after the event, each extrapolated from up to three samples on its side. If events
+    lie between the same two samples, the values are those before the first and after the last of them.
+    """
+    time, data = motion["time"].values, {str(n): x for n, x in motion.data_vars.items() if x.dims == ("time",)}
+    data = {name: x for name, x in data.items() if x.dtype.kind == "f"}
+    moments = motion["event_time"].values if "event_time" in motion else np.zeros(0)
+    moments = np.unique(moments[(moments > time[0]) & (moments <= time[-1])])
+    after, first = np.unique(np.searchsorted(time, moments), return_index=True)
+    if not len(after) or not data:
+        return time, data
+    last = np.append(first[1:], len(moments)) - 1
+    values = np.stack([x.values for x in data.values()])
+    bounds = [0, *after, len(time)]
+    sides = [
+        _extrapolated(time[part], values[:, part], moments[event])
+        for k in range(len(after))
+        for part, event in (
+            (slice(max(bounds[k], after[k] - 3), after[k]), first[k]),
+            (slice(after[k], min(bounds[k + 2], after[k] + 3)), last[k]),
+        )
+    ]
+    places = np.repeat(after, 2)
+    whole = np.insert(values, places, np.stack(sides, axis=1), axis=1)
+    times = np.insert(time, places, moments[np.stack([first, last], axis=1).ravel()])
+    return times, {n: xr.DataArray(x, dims="time", attrs=data[n].attrs) for n, x in zip(data, whole, strict=True)}
+
+
+def _extrapolated(times: Samples, values: np.ndarray, at: float) -> np.ndarray:
+    """Return the polynomial through values (states, samples) at a time."""
+    away = times[:, None] - times + np.eye(len(times))
+    weights = np.prod(np.where(np.eye(len(times)) == 1, 1.0, (at - times) / away), axis=1)
+    return values @ weights
+
+
 def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
     """Return the part of a trajectory that the explorer page shows: its last period or its last section crossings.
 
@@ -289,7 +345,7 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
 
     **Returns:** a `Cell`. Its `numbers` are the features of the motion, with the names of a sweep's variables.
     """
-    time = motion["time"].values
+    time, data = with_events(motion)
     times_of, kinds = (motion[n].values if n in motion else np.zeros(0) for n in ("event_time", "event_kind"))
     moments = {name: times_of[kinds == flag] for flag, name in enumerate(EVENTS) if flag}
     cycles = int(motion["cycles"]) if "cycles" in motion else 0
@@ -302,20 +358,15 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
         cycles, moments["section"] = repeated_pulses(passed[-LAST_PULSES:], np.ptp(states, axis=1) / 2), begins
     excerpt = last_excerpt(moments["section"], cycles, float(time[0]), float(time[-1]))
     begin, end = excerpt.begin, excerpt.begin + excerpt.shown
-    data = {
-        str(name): state
-        for name, state in motion.data_vars.items()
-        if state.dims == ("time",) and state.dtype.kind == "f" and not str(name).endswith("_force")
-    }
+    data = {name: state for name, state in data.items() if not name.endswith("_force")}
 
     def states_at(times: Samples) -> tuple[Mapping[str, xr.DataArray], np.ndarray]:
         """Return interpolated states; the striker touches the bit between an impact and a release."""
         flags, later = np.zeros(len(times), np.uint8), times + TIME_TOLERANCE * excerpt.shown
         if "stuck" in motion:
-            samples = np.searchsorted(time, later, side="right") - 1
-            flags |= np.where(motion["stuck"].values[np.clip(samples, 0, len(time) - 1)] == 1, STUCK, 0).astype(
-                np.uint8
-            )
+            stuck = motion["stuck"].values
+            samples = np.searchsorted(motion["time"].values, later, side="right") - 1
+            flags |= np.where(stuck[np.clip(samples, 0, len(stuck) - 1)] == 1, STUCK, 0).astype(np.uint8)
         impacts, releases = (np.searchsorted(moments[name], later) for name in ("impact", "release"))
         flags |= np.where(impacts > releases, TOUCHING, 0).astype(np.uint8)
         return {n: xr.DataArray(np.interp(times, time, x.values), attrs=x.attrs) for n, x in data.items()}, flags
@@ -325,6 +376,7 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
 
     inside = np.concatenate([[begin], time[(time > begin) & (time < end)], [end]])
     path = inside, np.stack([np.interp(inside, time, x.values) for x in data.values()])
-    cell = _cell(excerpt, moments, path, np.concatenate([moments[name] for name in EVENTS[1:]]), states_at, crossings)
+    ends = np.concatenate([moments[name] for name in EVENTS[1:]])
+    cell = _cell(excerpt, moments, path, ends, states_at, crossings, TRAJECTORY_FINENESS)
     numbers = finite({str(name): x.values.item() for name, x in motion.data_vars.items() if x.ndim == 0})
     return replace(cell, lane=lane, numbers=numbers)

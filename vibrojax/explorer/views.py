@@ -17,7 +17,7 @@ from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
 from vibrojax.explorer.plots_view import figure_document
-from vibrojax.explorer.recording import Excerpt, cell_of, record_cells
+from vibrojax.explorer.recording import Excerpt, cell_of, record_cells, with_events
 from vibrojax.io.attributes import flags, parameters_of, run_of, text_of
 from vibrojax.io.dataset import check_dataset
 from vibrojax.io.kinds import kind_of
@@ -132,7 +132,8 @@ def _picture_document(ds: xr.Dataset, page: Document) -> Document | None:
         LOG.info("explore: no picture: %s", error)
         return None
     # The legend of the map has these.
-    known = set(document.REGIME_MEANINGS) if drawn == ["regime"] else set()
+    coloured = drawn == ["regime"] or "inner" in page["variables"][0]
+    known = set(document.REGIME_MEANINGS) if coloured else set()
     known = {"stable", "unstable", *document.BORDER_MEANINGS} if page["kind"] == "family" else known
     figure["keys"] = [key for key in figure["keys"] if key["text"].split(" ")[0] not in known]
     return figure if figure["plots"] or figure["images"] else None
@@ -147,6 +148,8 @@ def _plots_document(ds: xr.Dataset) -> Document:
         figure = figure_document(analysis_of(ds).page_figures(ds), ds, [])
     except InputError as error:
         raise InputError(f"explore: {error}") from None
+    if kind_of(ds) == "study":
+        figure["note"] = f"Above the bars: mean ± standard deviation over the samples. {figure['note']}"
     return document.document_with(ds, "plots", _numbers(ds), figure=figure, without="")
 
 
@@ -160,7 +163,9 @@ def _motion_document(ds: xr.Dataset) -> Document:
     """Return the JSON document of a trajectory, given the dataset of `simulate`."""
     if not ds.sizes["time"]:
         raise InputError("explore: the motion has no samples")
-    if any(np.isinf(data.values).any() for data in ds.data_vars.values() if data.dtype.kind == "f"):
+    if any(
+        np.isinf(data.values).any() for data in ds.data_vars.values() if "time" in data.dims and data.dtype.kind == "f"
+    ):
         raise InputError("explore: the motion has values that are not finite")
     run = document.run_document(ds) | {"duration": document.command_seconds(float(ds["time"][-1]))}
     lanes = pack(np.zeros(1, np.int32)) | {"axes": []}
@@ -169,19 +174,16 @@ def _motion_document(ds: xr.Dataset) -> Document:
 
 def _history(ds: xr.Dataset) -> Document:
     """Return all variables along time, reduced to the two extremes in each time interval, in order of time."""
-    time = ds["time"].values
+    time, data = with_events(ds)
     bins = np.array_split(np.arange(len(time)), min(HISTORY_BINS, len(time)))
     columns: list[Document] = []
-    for name, data in ds.data_vars.items():
-        if data.dims != ("time",) or data.dtype.kind != "f":
-            continue
-        values = data.values
+    for name, values in ((name, x.values) for name, x in data.items()):
         extremes = [sorted((part[np.argmin(values[part])], part[np.argmax(values[part])])) for part in bins]
         columns.append(
             {
-                "name": str(name),
-                "units": document.one_line(data.attrs.get("units", "")),
-                "long_name": document.one_line(data.attrs.get("long_name", "")) or str(name),
+                "name": name,
+                "units": document.one_line(data[name].attrs.get("units", "")),
+                "long_name": document.one_line(data[name].attrs.get("long_name", "")) or name,
                 "data": pack(values[np.ravel(extremes)].astype(float)),
             }
         )
@@ -225,6 +227,11 @@ def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, st
     try:
         return sweep_of_dataset(ds, orbits=False), ""
     except InputError as error:
+        if text_of(ds, "scene") not in SCENES:
+            return (
+                None,
+                "its system is known only to the Python session that defined it: pass its sweep to vj.write_page",
+            )
         return None, f"its motions cannot be computed: {str(error).removeprefix('orbits: ')}"
 
 

@@ -2,7 +2,8 @@
 import { EVENTS, STUCK } from "./decode.js";
 import { framed, inkOf, limitsOf, line, mark, numberText, read } from "./plots.js";
 
-const COLOURED = { x1: "bit", v1: "bit", x2: "striker", v2: "striker", x3: "rock", v3: "rock", x4: "faint" };
+const COLOURED = { x1: "bit", v1: "bit", x2: "striker", v2: "striker", x3: "bit", v3: "bit", x4: "rock",
+  applied_force: "faint", rock_force: "ink", impact_force: "impact", friction_force: "ink" };
 const NAMES = { x1: "x₁", v1: "x₁′", x2: "x₂", v2: "x₂′", x3: "x₃", v3: "x₃′", x4: "x₄", compression: "x₃ − x₄" };
 
 export const symbolOf = (name) => NAMES[name] ?? name.replaceAll("_", " ");
@@ -42,7 +43,7 @@ export function planesOf(columns) {
 
 /** The states that share a plot over time: of one unit, and the hole apart from the machine. */
 export const groupsOf = (columns) => {
-  const key = ({ name, units }) => `${/^[xv][34]$/.test(name) ? "hole" : /force/.test(name) ? "force" : ""} ${units}`;
+  const key = ({ name, units }) => `${/^([xv][34]|(rock|applied)_force)$/.test(name) ? "hole" : /force/.test(name) ? "force" : ""} ${units}`;
   return [...new Set(columns.map(key))].map((one) => columns.filter((column) => key(column) === one));
 };
 
@@ -55,8 +56,9 @@ const SHAPES = { stick: ["s", "stick"], slip: ["^", "slip"], impact: ["D", "impa
 
 function markEvents(c, cell, xs, ys, sx, sy, ink, kinds) {
   for (let i = 0; i < xs.length; i++) {
-    const kind = EVENTS[cell.flags[i] & 7];
-    if (kinds.includes(kind)) mark(c, SHAPES[kind][0], sx(xs[i]), sy(ys[i]), kind === "impact" ? 4.2 : 3.4, ink[SHAPES[kind][1]], ink.plate);
+    const kind = EVENTS[cell.flags[i] & 7], k = i % cell.time.length;
+    if (!kinds.includes(kind)) continue;
+    for (const j of cell.time[k + 1] === cell.time[k] ? [i, i + 1] : [i]) mark(c, SHAPES[kind][0], sx(xs[j]), sy(ys[j]), kind === "impact" ? 4.2 : 3.4, ink[SHAPES[kind][1]], ink.plate);  // before and after a jump
   }
 }
 
@@ -103,14 +105,15 @@ export function drawHistory(canvas, cell, columns, isLast) {
     { limits: limitsOf(rows, 0.09), label: withUnit(columns.map((one) => symbolOf(one.name)).join(", "), uy) },
     (c, sx, sy) => {
       const first = twice === 2 ? { ...cell, flags: [...cell.flags, ...cell.flags] } : cell;
-      columns.forEach((one, k) => {
-        line(c, xs, rows[k], sx, sy, colourOf(ink, one.name, k), 1.7);
+      layered(columns).forEach(([one, k, wide]) => {
+        line(c, xs, rows[k], sx, sy, colourOf(ink, one.name, k), wide ?? 1.7);
         read(symbolOf(one.name), xs, rows[k], { joined: true });
         if (one.name === "x1" || one.name === "v1") {
           line(c, stuckParts(first, xs), rows[k], sx, sy, ink.stick, 3.5);
           markEvents(c, first, xs, rows[k], sx, sy, ink, ["stick", "slip"]);
         }
         if (one.name === "x2" || one.name === "v2") markEvents(c, first, xs, rows[k], sx, sy, ink, ["impact"]);
+        if (!/^[xv]\d$/.test(one.name)) markEvents(c, first, xs, rows[k], sx, sy, ink, ["impact", "stick", "slip"]);
       });
     }, { left: 62 });
 }
@@ -128,17 +131,50 @@ export function drawPhase(canvas, all, { name, units }) {
   }, { left: 62 });
 }
 
+/** The states of a plot in the order in which they are drawn, with their numbers: the hole below the bit, as a wider line. */
+const layered = (columns) => columns.map((one, k) => [one, k, one.name === "x4" ? 3.2 : undefined]).sort(([a], [b]) => (b.name === "x4") - (a.name === "x4"));
+
+const CYCLE_PIXELS = 5, BAND_PIXELS = 6;
+
+/** Whether a line over what is shown of an axis has more oscillations than can be told apart. */
+function isDense(xs, ys, sx, { left, right }) {
+  let path = 0, low = Infinity, high = -Infinity;
+  xs.forEach((x, i) => {
+    if (sx(x) < left || sx(x) > right) return;
+    if (i) path += Math.abs(ys[i] - ys[i - 1]);
+    [low, high] = [Math.min(low, ys[i]), Math.max(high, ys[i])];
+  });
+  return path / (2 * (high - low)) > (right - left) / CYCLE_PIXELS;
+}
+
+/** A band from the least to the greatest value, as in the pictures. */
+function drawBand(c, xs, ys, sx, sy, { left, right }, colour) {
+  const ends = Array.from({ length: Math.ceil((right - left) / BAND_PIXELS) }, () => [Infinity, -Infinity]);
+  xs.forEach((x, i) => {
+    const k = Math.floor((sx(x) - left) / BAND_PIXELS);
+    if (k in ends) ends[k] = [Math.min(ends[k][0], ys[i]), Math.max(ends[k][1], ys[i])];
+  });
+  c.fillStyle = colour;
+  c.globalAlpha = 0.35;
+  ends.forEach(([low, high], k) => { if (high >= low) c.fillRect(left + k * BAND_PIXELS, sy(high), BAND_PIXELS, Math.max(1, sy(low) - sy(high))); });
+  c.globalAlpha = 1;
+  const edge = (which) => line(c, ends.flatMap((_, k) => [k, k + 1]), ends.flatMap((one) => [one[which], one[which]]), (k) => left + k * BAND_PIXELS, sy, colour, 0.9);
+  edge(0);
+  edge(1);
+}
+
 /** The whole course of a trajectory: states of one unit, from the beginning; a line where the observation begins. */
 export function drawCourse(canvas, course, columns, isLast) {
-  const ink = inkOf(canvas), [fy, uy] = shownIn(columns[0].units, columns.flatMap((one) => limitsOf([course[one.name]], 0)));
+  const ink = inkOf(canvas), [fy, uy] = shownIn(columns[0].units, columns.flatMap((one) => Array.from(course[one.name])));
   const forces = columns.length > 1 && columns.every(({ name }) => name.endsWith("_force"));
   framed(canvas, ink,
     { limits: [course.time[0], course.time.at(-1)], label: isLast || canvas.source ? "time [s]" : "", said: "time [s]" },
     { limits: limitsOf(columns.map((one) => scaled(course[one.name], fy)), 0.06), label: withUnit(forces ? "force" : columns.map((one) => symbolOf(one.name)).join(", "), uy) },
     (c, sx, sy, box) => {
-      columns.forEach((one, k) => {
+      canvas.dense = columns.some((one) => isDense(course.time, course[one.name], sx, box));
+      layered(columns).forEach(([one, k, wide]) => {
         const ys = scaled(course[one.name], fy);
-        line(c, course.time, ys, sx, sy, colourOf(ink, one.name, k), 0.9);
+        if (canvas.dense) drawBand(c, course.time, ys, sx, sy, box, colourOf(ink, one.name, k)); else line(c, course.time, ys, sx, sy, colourOf(ink, one.name, k), wide ?? 0.9);
         read(forces ? one.long_name : symbolOf(one.name), course.time, ys, { joined: true });
       });
       if (course.observed) line(c, [course.observed, course.observed], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [4, 3]);

@@ -7,7 +7,7 @@ import { csvOf, download, fileName } from "./paper.js";
 import { drawSigns, entry, inkOf, line, mark, numberText, prepared } from "./plots.js";
 
 const EVENT_KEYS = { 1: ["stick", "s"], 2: ["slip", "^"], 3: ["impact", "D"] };
-const MASS_KEYS = [["x1", "bit", "bit"], ["x2", "striker", "striker"], ["x3", "bit on rock", "rock"], ["x4", "hole", "faint"]];
+const MASS_KEYS = [["x1", "bit", "bit"], ["x2", "striker", "striker"], ["x3", "bit", "bit"], ["x4", "hole", "rock"]];
 
 /** Values of flags that say nothing. */
 const SILENT = new Set(["done", "none", "found", "identified"]);
@@ -164,7 +164,7 @@ function returnsPanel(page, motion) {
 }
 
 function panelsOf(page, motion) {
-  const planes = planesOf(motion.columns), positions = planes.map(([position]) => position);
+  const planes = planesOf(motion.columns), positions = planes.map(([position]) => position).filter(({ name }, _, all) => name !== "x3" || all.length === 1);
   const found = [...planePanels(page, motion, planes), ...historyPanels(page, motion), ...phasePanel(page, motion)];
   if (positions.length)
     found.push(panel(page, "Spectrum", (canvas) => drawSpectrum(canvas, motion, positions),
@@ -173,14 +173,18 @@ function panelsOf(page, motion) {
   if (motion.multipliers?.length)
     found.push(panel(page, `Largest multiplier ${numberText(Math.max(...motion.multipliers.map(([modulus]) => modulus)), 3)}`, (canvas) => drawMultipliers(canvas, motion),
       motion.multipliers.map(([modulus, argument]) => `modulus ${numberText(modulus)}, argument ${numberText(argument)} rad`).join("; ")));
+  // The last row is filled.
+  const narrow = found.map(({ figure }) => figure).filter(({ classList }) => !/vx-wide|vx-half/.test(classList)), last = narrow.slice(planes.length > 2 ? 3 : 0);
+  if (last.length < 3) last.forEach(({ classList }) => classList.add(...(last.length === 2 ? ["vx-half"] : ["vx-wide", "vx-tall"])));
   return found;
 }
 
 /** The entries of a legend: of some states of a motion, and of the events that occur in it. */
 function keysOfMotion(motion, columns = motion.columns, kinds = [1, 2, 3]) {
   const line = (text, colour) => ({ text, shape: "line", colour }), names = columns.map(({ name }) => name.replace("v", "x"));
-  const masses = MASS_KEYS.filter(([name]) => names.includes(name)).map(([, text, colour]) => line(text, colour));
-  const states = masses.length ? masses : groupsOf(columns).flatMap((some) => some.map(({ name }, k) => line(symbolOf(name), colourName(name, k))));
+  const masses = MASS_KEYS.filter(([name]) => names.includes(name) && !(name === "x3" && names.includes("x1"))).map(([, text, colour]) => line(text, colour));
+  // A state alone in its plot is named by the axis.
+  const states = masses.length ? masses : groupsOf(columns).flatMap((some) => (some.length > 1 ? some.map(({ name }, k) => line(symbolOf(name), colourName(name, k))) : []));
   const events = kinds.filter((kind) => motion.flags.some((flag) => (flag & 7) === kind)).map((kind) => ({ text: EVENT_KEYS[kind][0], shape: EVENT_KEYS[kind][1], colour: EVENT_KEYS[kind][0] }));
   return [...states, ...events];
 }
@@ -247,12 +251,12 @@ function formsOf({ grid, cell }) {
   const text = (variable, k) => {
     const error = grid.variables.get(`${variable.name}_stderr`), value = of(variable, k);
     if (Number.isNaN(value)) return "—";
-    return variable.flags || !error || Number.isNaN(of(error, k)) ? grid.valueText({ ...variable, units: "" }, value) : `${numberText(value * variable.factor)} ± ${numberText(of(error, k) * variable.factor, 2)}`;
+    return variable.flags || !error || Number.isNaN(of(error, k)) ? grid.valueText({ ...variable, units: "" }, value) : `${numberText(value * variable.factor)} ±\u00a0${numberText(of(error, k) * variable.factor, 2)}`;
   };
   const rows = [...grid.variables.values()].filter(({ name, axes }) => axes.includes("form") && !/_stderr$/.test(name))
     .map((variable) => [variable, known.map((k) => text(variable, k))]).filter(([, texts]) => new Set(texts).size > 1);
   const signs = { eta0: "η₀", r_squared: "R²", aic: "AIC" }, name = ({ name, units, long_name }) => explained(el("span", {}, signs[name] ?? name.replaceAll("_", " "), units ? ` [${units}]` : ""), long_name);
-  return [el("div", { class: "vx-numbers vx-forms" }, el("table", {}, el("tbody", {}, el("tr", {}, el("td"), ...known.map((k) => el("th", { scope: "col", text: form.values[k] }))),
+  return [el("div", { class: "vx-numbers vx-forms" }, el("p", { text: "η = P/D: mean force P divided by the threshold D of the rock; ± standard error" }), el("table", {}, el("tbody", {}, el("tr", {}, el("td"), ...known.map((k) => el("th", { scope: "col", text: form.values[k] }))),
     ...rows.map(([variable, texts]) => el("tr", {}, el("th", { scope: "row" }, name(variable)), ...texts.map((one) => el("td", { text: one })))))))];
 }
 
@@ -284,7 +288,7 @@ async function copy(text, beside, button) {
 function commands(page) {
   const calls = page.calls();
   if (!calls) {
-    const text = page.data.run && !page.apart ? "This system is known only to the Python session that defined it: pass its object to vj.simulate there." : "";
+    const text = page.data.run && !page.apart && !page.data.without ? "This system is known only to the Python session that defined it: pass its object to vj.simulate there." : "";
     return el("p", { class: "vx-motion", text });
   }
   const { command, python } = calls;

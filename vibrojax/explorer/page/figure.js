@@ -7,6 +7,9 @@ import { entry, FONT, framed, inkOf, legible, line, mark, numberText, read } fro
 /** The colour of signs in a legend that stand for marks of any colour. */
 const INK = "#222222";
 
+/** Pixels of a point, in which sizes of marks are. */
+const POINT = 4 / 3;
+
 /** Draw items of a description, and have their values read by the last key that looks the same; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink, keys = []) {
   const nameOf = (item, colour, ...shapes) => item.label || (keys.findLast((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
@@ -19,7 +22,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       const { colours, sizes } = item;
       x.forEach((value, k) => {
         if (value === null || y[k] === null) return;
-        const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 ? colour(own) : own, size = Math.max(1.4, sizes[k % sizes.length] ?? 2.5);
+        const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 ? colour(own) : own, size = POINT * Math.max(1.2, sizes[k % sizes.length] ?? 2);
         if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, colour(own));
         else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(shade) !== shade ? ink.faint : size > 2.6 ? ink.plate : null);
       });
@@ -84,7 +87,7 @@ export class Figure {
       .map((one) => el("figure", { class: "vx-panel vx-wideplot" }, el("img", { src: one.data, alt: one.title || page.data.title })));
     const tracks = this.plots.filter(({ track }) => track), together = tracks.length ? [el("div", { class: "vx-tracks" }, ...tracks.map((one) => one.figure))] : [];
     this.element = el("div", { class: "vx-figure" }, ...(data.keys.length ? [legend] : []),
-      el("div", { class: "vx-plots" }, ...this.plots.filter(({ track }) => !track).map((one) => one.figure), ...together, ...images));
+      el("div", { class: "vx-plots" }, ...this.plots.filter(({ track }) => !track).map((one) => one.figure), ...together, ...images), ...(data.note ? [el("p", { class: "vx-notes", text: data.note })] : []));
   }
 
   async load() {
@@ -97,7 +100,7 @@ export class Figure {
     const canvas = el("canvas", { role: "img", "aria-label": words });
     const draw = (paper) => this.paint(paper, plot), linked = plot.x.direction || plot.y.direction || Object.keys(plot.at).length || this.page.data.map === false;
     const tools = interactive(canvas, draw, {
-      about: () => this.page.about(words, { keys: keysIn(plot, keys), name: words, notes: [this.page.data.title, this.page.data.common] }),
+      about: () => this.page.about(words, { keys: keysIn(plot, keys), name: words, notes: [this.page.data.title, this.page.data.common, this.page.data.figure.note] }),
       click: linked ? (place) => this.pick(canvas, plot, place) : undefined,
       zoomed: () => this.page.tell(),
     });

@@ -14,6 +14,9 @@ const POINTS_HELP = "Click a plot, or move in it with the arrow keys and choose 
 
 const PLOTS_HELP = "Drag a box in a plot to zoom, with Shift to move; a double click resets. The menu ⋯ of each plot has its files.";
 
+/** Number of lines of text below which they stand below the plots, not beside them. */
+const FEW_LINES = 7;
+
 /** Lay a page out in its element; the parts that are drawn into are attributes of the page. */
 export function layOut(page) {
   const { data, id } = page;
@@ -61,7 +64,8 @@ export function layOut(page) {
   sheet.append(el("div", { class: "vx-sheetbar" }, turn("vx-tall", ["Taller", "Lower"]), turn("vx-closed", ["Hide", "Show"])), ...computing, page.pins.element, page.side);
   page.element.classList.toggle("vx-has-cell", Boolean(data.lanes) && !data.history);
   page.element.classList.add("vibrojax");
-  page.element.classList.toggle("vx-alone", data.kind === "plots" && !data.summary.length && !data.variables.length);
+  const lines = data.variables.length + data.summary.reduce((n, part) => n + part.lines.length, 0);
+  page.element.classList.toggle("vx-alone", data.kind === "plots" && lines < FEW_LINES);
   page.element.classList.toggle("vx-still", !data.lanes && !data.history && data.map !== false);
   page.element.classList.toggle("vx-cells", !data.lanes && data.map === false && !data.axes.some(({ name }) => name === "form"));
   page.element.replaceChildren(
@@ -71,5 +75,5 @@ export function layOut(page) {
       sheet,
       page.table),
     el("footer", { class: "vx-foot" }, el("p", { text: [data.scene, data.source].filter(Boolean).join(", ") }),
-      el("p", { text: data.map === false ? POINTS_HELP + PLOTS_HELP : data.kind === "plots" ? PLOTS_HELP : HELP })));
+      el("p", { text: data.map === false ? POINTS_HELP + PLOTS_HELP : data.kind === "plots" || data.history ? PLOTS_HELP : HELP })));
 }

@@ -255,8 +255,8 @@ export class MapView {
     const { overlay } = grid.data, over = overlay?.variable === variable.name && overlay.along === axis.name ? overlay.items : [];
     const across = { limits: limitsOf([column.numeric ? column.values.map((v) => v * column.factor) : xs], 0.03), label: labelOf(column), log: column.log };
     const colours = axis.values.map((_, k) => (regime ? grid.colour(regime, grid.value("regime", this.cellAt({ [axis.name]: k })), ink.undefined) : ink.bit));
-    const size = Math.max(1.6, Math.min(3.6, 900 / (axis.values.length + 1)));
-    return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy) => {
+    return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy, box) => {
+      const size = Math.max(1.2, Math.min(3.2, (0.36 * (box.right - box.left)) / axis.values.length));  // neighbours do not merge
       const rim = xs.length < 300 ? ink.faint : null;  // rims of many would hide their colours
       xs.forEach((value, k) => mark(c, "o", sx(value), sy(ys[k]), size, colours[index[k]], rim));
       drawItems(c, over, sx, sy, ink);

@@ -137,7 +137,7 @@ class Page {
   draw(anew = true) {
     if (!this.shown.x) { this.drawWhole(); return; }
     const x = this.direction(this.shown.x), y = this.direction(this.shown.y), { region, borders } = this.shown;
-    this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (!y.column.numeric && y.axis.values.length < 4));
+    this.element.querySelector(".vx-map").classList.toggle("vx-low", !y || (!y.column.numeric && (y.axis.values.length < 4 || !x.column.numeric)) || x.axis.values.length < 6);
     const patch = this.patch?.at === this.facetKey() ? this.patch : null;
     if (anew) this.limit();
     this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, patch, only: this.among, borders: borders !== "off" && borders }, anew);

@@ -103,7 +103,7 @@ export function drawBar(c, { low, high, log, extend, map }, left, top, width, in
   }
   Object.assign(c, { fillStyle: ink.ink, font: `11px ${FONT}`, textAlign: "center", textBaseline: "top" });
   const place = scaleOf(low, high, from, to, log);
-  for (const value of ticks(low, high, width < 300 ? 3 : 6, log)) c.fillText(numberText(value, 3), place(value), top + 18);
+  for (const value of ticks(low, high, width < 300 ? 3 : 6, log)) c.fillText(numberText(value, 6), place(value), top + 18);
 }
 
 /**

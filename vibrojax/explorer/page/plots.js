@@ -65,6 +65,13 @@ export function ticks(low, high, count, log = false) {
   return found;
 }
 
+/** Ticks of an axis, three or more also where it is short. */
+function fewTicks({ limits, log }, wanted) {
+  let count = Math.max(2, wanted), found = ticks(...limits, count, log);
+  while (found.length < 3 && count < 8) found = ticks(...limits, ++count, log);
+  return found;
+}
+
 /** A scale from values to pixels. */
 export function scaleOf(low, high, from, to, log = false) {
   const map = log ? Math.log : (x) => x, a = map(low), b = map(high);
@@ -132,8 +139,7 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   }
   const ends = (axis) => (axis.reversed ? [...axis.limits].reverse() : axis.limits);
   const sx = scaleOf(...ends(x), box.left, box.right, x.log), sy = scaleOf(...ends(y), box.bottom, box.top, y.log);
-  const wanted = Math.max(2, (box.right - box.left) / 62);
-  const xTicks = x.ticks ?? ticks(...x.limits, wanted, x.log).map((v) => [v, textOf(x, v)]);
+  const xTicks = x.ticks ?? fewTicks(x, (box.right - box.left) / 62).map((v) => [v, textOf(x, v)]);
   c.lineWidth = 1;
   if (options.grid !== false) {
     c.strokeStyle = ink.grid;
@@ -178,7 +184,7 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
     c.fillText(y.label, 0, 0, room(middle[1], height));
     c.restore();
   }
-  canvas.frame = { x: sx, y: sy, box, context: c, xAxis: x, yAxis: y };
+  canvas.frame = { x: sx, y: sy, box, context: c, xAxis: x, yAxis: y, xTicks };
   return canvas.frame;
 }
 
@@ -239,8 +245,8 @@ export const signWidth = ({ shape }) => ({ line: 28, scale: 60 }[shape] ?? 14);
  * colours: of a scale} of a legend, 14 high at a place: as it stands in the plot.
  */
 export function drawSign(c, key, left, top, ink) {
-  const { shape, colour, colours, dash, marker, hollow } = key, wide = signWidth(key), own = ink[colour] ?? legible(colour, ink), y = top + 7, middle = left + wide / 2;
-  const spot = (kind) => mark(c, kind, middle, y, 4, hollow ? ink.plate : own, hollow ? own : null);
+  const { shape, colour, colours, dash, marker, hollow, size = 3 } = key, wide = signWidth(key), own = ink[colour] ?? legible(colour, ink), y = top + 7, middle = left + wide / 2;
+  const spot = (kind) => mark(c, kind, middle, y, Math.max(2.4, Math.min(5.4, (4 / 3) * size)), hollow ? ink.plate : own, hollow ? own : null);
   if (shape === "line") {
     line(c, [left + 1, left + wide - 1], [y, y], (x) => x, (x) => x, own, 2, dash);
     if (marker) spot(marker);

@@ -9,7 +9,7 @@ import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, read } from
 /** Draw the slices of a page's map into its element. */
 export function drawSlices(page) {
   const x = page.direction(page.shown.x), y = page.direction(page.shown.y), { slices } = page;
-  const wanted = y && x.column === x.axis ? [x, y] : [];
+  const wanted = y && x.column === x.axis && x.column.numeric && y.column.numeric ? [x, y] : [];  // between names there is no course
   if (slices.childElementCount !== wanted.length)
     slices.replaceChildren(...wanted.map((_, k) => sliceFigure(k)));
   wanted.forEach((direction, k) => drawSlice(page, slices.children[k], direction, wanted[1 - k]));
@@ -71,8 +71,9 @@ function drawSlice(page, figure, direction, other) {
 /** Draw a trajectory from its beginning, a plot for each unit and one for the hole, into a page's element. */
 export function drawWhole(page) {
   const { slices, history } = page, every = page.data.history.columns;
-  const groups = groupsOf(every).flatMap((some) => [some.filter(({ name }) => name !== "x4"), some.filter(({ name }) => name === "x4")]).filter((some) => some.length);  // the steps of the hole need a scale of their own
-  const keys = (columns) => columns.map(({ name, long_name }, i) => ({ text: long_name, shape: "line", colour: colourName(name, i) }));
+  const groups = groupsOf(every);
+  const begins = (columns) => (history.observed && columns === groups[0] ? [{ text: "the observation begins", shape: "line", colour: "ink", dash: [4, 3] }] : []);
+  const keys = (columns) => [...columns.map(({ name, long_name }, i) => ({ text: long_name, shape: "line", colour: colourName(name, i) })), ...begins(columns)];
   if (!slices.childElementCount) {
     page.courses = groups.map((columns, k) => {
       const canvas = el("canvas", { role: "img", "aria-label": "The whole course over time" }), words = columns.map((one) => one.long_name).join(", ");
@@ -80,9 +81,10 @@ export function drawWhole(page) {
         about: () => page.about(words, { keys: keys(columns) }), zoomed: () => page.tell(), files: [["CSV", "csv", () => csvOf(Object.fromEntries([["time [s]", history.time], ...columns.map((one) => [one.name, history[one.name]])].map(([name, x]) => [name, Array.from(x)])))]],
       });
       page.keepZoom(canvas, tools);
-      return { tools, figure: el("figure", { class: "vx-whole vx-panel" }, el("figcaption", {}, el("ul", { class: "vx-keys" }, ...keys(columns).map((key) => entry(key))), tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band)) };
+      const band = el("li", { class: "vx-dense", text: "bands: from the least to the greatest value" });
+      return { tools, canvas, band, figure: el("figure", { class: "vx-whole vx-panel" }, el("figcaption", {}, el("ul", { class: "vx-keys" }, ...keys(columns).map((key) => entry(key)), band), tools.menu), el("div", { class: "vx-stack" }, canvas, tools.band)) };
     });
     slices.replaceChildren(...page.courses.map((one) => one.figure));
   }
-  for (const { tools } of page.courses) tools.redraw();
+  for (const { tools, canvas, band } of page.courses) { tools.redraw(); band.hidden = !canvas.dense; }
 }
