@@ -117,6 +117,15 @@ def test_fold_and_period_doubling_of_ball_on_shaken_table():
     assert special_values(family, "period-doubling") * w**2 / g == pytest.approx([high], rel=1e-8)
 
 
+@pytest.mark.parametrize("at", [0.27, 0.3])
+def test_end_of_chatter_is_no_graze(at):
+    """A ball leaves the table where its acceleration exceeds gravity. The end of its bounces passes the section at the
+    amplitude 0.3218; further bounces before rest appear as the amplitude grows.
+    """
+    family = vj.follow(BALL, along="a", at=at, span=(0.2, 0.35), start=[0.0, 0.0], cycles=1, progress=False)
+    assert special_values(family, "grazing") == pytest.approx([9.81 / (2 * np.pi) ** 2], abs=1e-8)
+
+
 def test_graze_is_the_same_from_both_sides():
     """The orbit with one impact at each wall grazes both, where a branch with two impacts at each leads to it.
 
