@@ -124,6 +124,9 @@ def test_end_of_chatter_is_no_graze(at):
     """
     family = vj.follow(BALL, along="a", at=at, span=(0.2, 0.35), start=[0.0, 0.0], cycles=1, progress=False)
     assert special_values(family, "grazing") == pytest.approx([9.81 / (2 * np.pi) ** 2], abs=1e-8)
+    begin = {"states": [-at * (1 + 1e-13), 0.0], "period": 1.0}  # at rest on the table, as the family gives it
+    again = vj.follow(BALL, along="a", at=at, span=(0.26, 0.31), orbit=begin, cycles=1, progress=False)
+    assert special_values(again, "end").tolist() == [0.26, 0.31]
 
 
 def test_graze_is_the_same_from_both_sides():
