@@ -199,6 +199,22 @@ def test_branches_pass_and_join_at_a_graze_against_friction():
     assert special_values(family, "end").tolist() == [1.3, 2.1] and len(special_values(family, "fold")) == 1
 
 
+def test_no_step_leads_over_a_graze_and_a_fold():
+    """Between them three orbits coexist. From this beginning, a step could lead over both."""
+    w, span = 0.4940463346155941, (0.4155952563264156, 1.038988140816039)
+    wall = vj.Impact("wall", lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=0.5457002440122073)
+    base = vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: 0.0377447662751558, 1.0, "v")
+    shaken = mass(
+        lambda t, y, p: 0.9670313078557167 * cos(w * t) - 2 * 0.037390504262386035 * y["v"] - y["x"],
+        wall, base, parameters={"d": 0.5}, period=2 * np.pi / w,
+    )  # fmt: skip
+    begin = {"at": 0.5375127342607715, "orbit": {"states": [0.48732077, -0.28777351], "period": 2 * np.pi / w}}
+    family = vj.follow(shaken, along="d", span=span, cycles=1, progress=False, **begin)
+    [fold] = [x for x in special_values(family, "fold") if x < 0.6]
+    assert special_values(family, "grazing").min() < fold
+    assert family.multiplier_abs[np.abs(family.d.values - fold).argmin(), 0] == pytest.approx(1.0, abs=1e-4)
+
+
 def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():
     """A family that begins with one impact in two periods leads to a doubling in closed form, and does not go back."""
     family = vj.follow(IMPACT_OSCILLATOR, along="r", at=0.7, span=(0.0, 1.0), a=0.5, progress=False, cycles=2)
