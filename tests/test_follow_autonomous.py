@@ -435,6 +435,9 @@ def test_predators_and_prey_end_at_zero_amplitude_and_at_long_periods():
     (first, place), (last, long) = sorted_points(family)
     far = np.exp(-5 / 3)
     assert (first, last) == ("hopf", "end") and place == pytest.approx(1 / (3 * (1 - far) - 5 * far), abs=1e-9)
+    begin = {"states": [1 / 3, float(family.orbit_sharks[2])], "period": float(family.period[2])}
+    again = follow(PREDATORS, along="quota", at=float(family.quota[2]), span=(0.5, 0.68), orbit=begin)
+    assert sorted_points(again)[0][1] == pytest.approx(place, abs=1e-9)  # the section is at a level of fish
     # Orbits approach the saddle at which one of the species is extinct, and their periods grow without limit.
     assert family.period.values[np.abs(family.quota.values - long).argmin()] > 50
     assert all(family.special_note.values)

@@ -117,6 +117,18 @@ def test_fold_and_period_doubling_of_ball_on_shaken_table():
     assert special_values(family, "period-doubling") * w**2 / g == pytest.approx([high], rel=1e-8)
 
 
+@pytest.mark.parametrize("at", [0.27, 0.3])
+def test_end_of_chatter_is_no_graze(at):
+    """A ball leaves the table where its acceleration exceeds gravity. The end of its bounces passes the section at the
+    amplitude 0.3218; further bounces before rest appear as the amplitude grows.
+    """
+    family = vj.follow(BALL, along="a", at=at, span=(0.2, 0.35), start=[0.0, 0.0], cycles=1, progress=False)
+    assert special_values(family, "grazing") == pytest.approx([9.81 / (2 * np.pi) ** 2], abs=1e-8)
+    begin = {"states": [-at * (1 + 1e-13), 0.0], "period": 1.0}  # at rest on the table, as the family gives it
+    again = vj.follow(BALL, along="a", at=at, span=(0.26, 0.31), orbit=begin, cycles=1, progress=False)
+    assert special_values(again, "end").tolist() == [0.26, 0.31]
+
+
 def test_graze_is_the_same_from_both_sides():
     """The orbit with one impact at each wall grazes both, where a branch with two impacts at each leads to it.
 
@@ -185,6 +197,22 @@ def test_branches_pass_and_join_at_a_graze_against_friction():
     turn = brentq(lambda w: graze(w) - 1.0, 1.3, 2.0, xtol=1e-14)
     assert special_values(family, "grazing") == pytest.approx([turn], abs=1e-8)
     assert special_values(family, "end").tolist() == [1.3, 2.1] and len(special_values(family, "fold")) == 1
+
+
+def test_no_step_leads_over_a_graze_and_a_fold():
+    """Between them three orbits coexist. From this beginning, a step could lead over both."""
+    w, span = 0.4940463346155941, (0.4155952563264156, 1.038988140816039)
+    wall = vj.Impact("wall", lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=0.5457002440122073)
+    base = vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: 0.0377447662751558, 1.0, "v")
+    shaken = mass(
+        lambda t, y, p: 0.9670313078557167 * cos(w * t) - 2 * 0.037390504262386035 * y["v"] - y["x"],
+        wall, base, parameters={"d": 0.5}, period=2 * np.pi / w,
+    )  # fmt: skip
+    begin = {"at": 0.5375127342607715, "orbit": {"states": [0.48732077, -0.28777351], "period": 2 * np.pi / w}}
+    family = vj.follow(shaken, along="d", span=span, cycles=1, progress=False, **begin)
+    [fold] = [x for x in special_values(family, "fold") if x < 0.6]
+    assert special_values(family, "grazing").min() < fold
+    assert family.multiplier_abs[np.abs(family.d.values - fold).argmin(), 0] == pytest.approx(1.0, abs=1e-4)
 
 
 def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():

@@ -21,6 +21,7 @@ from vibrojax.periodic.hopf import LEAST_SWING, SMALLEST_SWING, surrounds_equili
 from vibrojax.periodic.newton import spectral_radius
 from vibrojax.periodic.problem import (
     CORRECTOR_RESIDUAL,
+    OTHER_ORBIT,
     Flags,
     Index,
     PerLane,
@@ -271,6 +272,27 @@ class _ActiveBranches:
         leads_back = (ahead.margin < (1 - FACING / FACED) * now.margin) | (ahead.signature != now.signature).any(axis=1)
         return leads_back & (now.margin > AT_CORNER)
 
+    def _skips_part(self, lanes: Index, last: Points, now: Points, taken: PerLane) -> Flags:
+        """Return a mask of points behind a change of events that another part of the branch separates from the change.
+
+        A branch that turns back at a graze, and again at a fold, has three orbits in planes between both. Just before
+        the predicted graze, there is then another orbit with the events behind it.
+        """
+        if not len(lanes):
+            return np.zeros(0, bool)
+        row, far = last.tangent, np.einsum("ij,ij->i", last.tangent, now.u - last.u)
+        zero, uncertainty = predict_zero(self._arclengths[lanes], self._margins[lanes])
+        place = zero - self._arclengths[lanes, 0] - 2 * np.nan_to_num(uncertainty)
+        place = np.where((place > 0) & (place < far), place, 0.0)
+        back = (place - far) / np.einsum("ij,ij->i", row, now.tangent)
+        guess = np.concatenate([last.u + place[:, None] * row, now.u + back[:, None] * now.tangent])
+        level = np.einsum("ij,ij->i", row, last.u) + place
+        points, found = self._problem.correct(np.tile(now.family, 2), guess, np.tile(row, (2, 1)), np.tile(level, 2))
+        before, behind = (points.of(half) for half in np.split(np.arange(len(guess)), 2))
+        other = found.reshape(2, -1).all(axis=0) & (behind.signature == now.signature).all(axis=1)
+        other &= (before.signature == last.signature).all(axis=1)
+        return other & (np.linalg.norm(behind.u - before.u, axis=1) > OTHER_ORBIT * taken)
+
     def _shrinks(self, now: Points) -> Flags:
         """Return a mask of points at which the amplitude of orbits around an equilibrium has nearly vanished."""
         small = (now.swing < SMALLEST_SWING) & self._problem.at_section
@@ -298,6 +320,8 @@ class _ActiveBranches:
         beyond = (value > problem.last[now.family, -1]) | (value < problem.first[now.family, -1])
         sound &= ~(beyond & np.isnan(self._bound[lanes])) & ~((now.swing < LEAST_SWING) & self._shrinks(now))
         sound[sound & changed] &= ~self._faces_corner(now.of(sound & changed), taken[sound & changed])
+        crosses = np.flatnonzero(sound & changed)
+        sound[crosses] = ~self._skips_part(lanes[crosses], last.of(crosses), now.of(crosses), taken[crosses])
         sound[sound] = ~problem.left_branch(last.of(sound), now.of(sound))
         kept = lanes[sound]
         now, last, taken, turn, changed = now.of(sound), last.of(sound), taken[sound], turn[sound], changed[sound]

@@ -129,7 +129,8 @@ class CurveProblem(Problem):
         for k in range(self.rows):
             row[lanes, first * self.rows + k] = rates[lanes, first, k]
         row[:, -2:] = rates[lanes, first, self.rows :]
-        seen = images.seen._replace(margin=margins[..., 1])
+        ends = np.pad(margins[..., [1, 1]], ((0, 0), (0, 0), (0, 3)), constant_values=np.inf)
+        seen = images.seen._replace(margin=ends)
         points = self.orbit(curve, u, images._replace(seen=seen), self.scaled(curve, images.jacobian))
         for condition, (_, mode) in enumerate(conditions_of(self.scene)):
             if mode is not None:

@@ -21,6 +21,7 @@ from vibrojax.periodic.margin import DEPARTED, FLAT, Margin
 from vibrojax.periodic.return_map import Mapped, ReturnLoop, map_state
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes import Scene
+from vibrojax.scenes.declared import Values
 from vibrojax.stepping import Accuracy, Lane, Located, Step
 from vibrojax.stepping.event import Event
 from vibrojax.stepping.polynomial import Coefficients, first_guess, root, slope, value
@@ -89,15 +90,15 @@ class Passing(Located):
 class EventMargin(Margin):
     """Signed margin of the `chosen` condition of each lane, and the grazing margin of all other events.
 
-    Its rows are the signed value that is closest to zero, the margin of the other events, the second-closest value, two
-    rows for bounces, and for each guard its value at the end of the last step if it fell there until another event. If
-    the guard rises behind the event, this value is its minimum.
+    Its rows are the signed value that is closest to zero, the margin of the other events, the second-closest value,
+    three rows for bounces, and for each guard its value at the end of the last step if it fell there until another
+    event. If the guard rises behind the event, this value is its minimum.
     """
 
     chosen: tuple[Array, ...] = ()
 
-    def begin(self, zero: Lanes) -> Array:
-        rows = super().begin(zero)
+    def begin(self, zero: Lanes, mode: Values) -> Array:
+        rows = super().begin(zero, mode)
         return jnp.concatenate([rows, jnp.full((len(self.scene.guard_names), *zero.shape), jnp.inf, rows.dtype)])
 
     def after(self, least: Array, armed: Flags, lane: Lane, step: Step) -> Array:
@@ -106,7 +107,7 @@ class EventMargin(Margin):
         order = len(step.polynomials[0]) - 1
         functions = [f.arrays(order, step.dt) for f in scene.guard_values(self.c, step.mode, states)]
         scales = scene.typical_guard_values(self.c, step.mode, step.before)
-        first, second, others, fallen = least[0], least[2], least[3:5], least[5:]
+        first, second, others, fallen = least[0], least[2], least[3:6], least[6:]
         for (name, place), chosen in zip(conditions_of(scene), self.chosen, strict=True):
             index = scene.guard_names.index(name)
             if place is None:
@@ -128,7 +129,7 @@ class EventMargin(Margin):
         far = jnp.full_like(least[:3], jnp.inf)
         plain = lax.stop_gradient(super().after(jnp.concatenate([far, others]), armed, lane, step))
         nearest = jnp.minimum(least[1], plain[:2].min(axis=0))
-        return jnp.concatenate([jnp.stack([first, nearest, second]), plain[3:5], fallen])
+        return jnp.concatenate([jnp.stack([first, nearest, second]), plain[3:], fallen])
 
     def _fallen(self, index: int, f: Coefficients, step: Step) -> Array:
         """Return the value of a guard that has fallen until another event at the end of the step, else infinity."""
@@ -138,7 +139,7 @@ class EventMargin(Margin):
         return jnp.where(at_other & (slope(f, step.tau) < 0), value(f, step.tau), jnp.inf)
 
     def total(self, rows: Array) -> Array:
-        return jnp.stack([rows[0], jnp.minimum(rows[1], rows[4]), rows[2]])
+        return jnp.stack([rows[0], jnp.minimum(rows[1], jnp.minimum(rows[4], jnp.abs(rows[5]))), rows[2]])
 
     def considered(self, guard: str, what: str, margin: Array) -> Array:
         for (name, place), chosen in zip(conditions_of(self.scene), self.chosen, strict=True):
@@ -177,9 +178,8 @@ def event_mapped(
         lambda c: EventMargin(scene, scene.section, c, True, masks),
     )
     flight, moved = loop.differentiated(along, p, state)
-    seen = flight.seen._replace(margin=jnp.concatenate([flight.seen.margin, flight.seen.reach[None]]))
     image, jacobian = map_state(scene, flight.lane), map_state(scene, moved.lane)
-    return Mapped(image, flight.time, jacobian, seen), moved.seen.margin[:, 0]
+    return Mapped(image, flight.time, jacobian, flight.seen), moved.seen.margin[:, 0]
 
 
 def _turn(f: Coefficients, end: Array) -> tuple[Flags, Array]:

@@ -4,16 +4,16 @@ Every branch is continued in both directions, past its special points. Period-do
 """
 
 from collections.abc import Sequence
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from vibrojax.io.kinds import SPECIAL_KINDS
-from vibrojax.periodic.arclength import CLOSED, ENDED, STALLED, STOPPED, VANISHED, Stop
+from vibrojax.periodic.arclength import ENDED, STALLED, STOPPED, VANISHED, Stop
 from vibrojax.periodic.brackets import Brackets
 from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator, branch_point_ahead, second_tangent
 from vibrojax.periodic.hopf import hopf_point
+from vibrojax.periodic.joined_branches import drop_duplicates, end_where_joined, invariants, is_among
 from vibrojax.periodic.location import (
     GRAZED_MARGIN,
     classify_event_changes,
@@ -22,7 +22,7 @@ from vibrojax.periodic.location import (
     reindex_returns,
     turn_corner,
 )
-from vibrojax.periodic.newton import multipliers, spectral_radius
+from vibrojax.periodic.newton import spectral_radius
 from vibrojax.periodic.problem import Flags, Index, Points, Problem, towards
 from vibrojax.periodic.segments import (
     ENDINGS,
@@ -44,10 +44,6 @@ section."""
 MAX_BRANCHES = 32
 """Largest number of branches of a family."""
 
-SAME_CROSSING = 1e-4
-"""Largest difference of the scaled parameter, the logarithm of the period, the amplitude and the multipliers between
-two descriptions of one branch point."""
-
 NEAR_HOPF = 1e-6
 """Scaled distance of the parameter from a Hopf point within which rounding errors decide whether it turns."""
 
@@ -56,9 +52,6 @@ STEEP_GRAZE = 1e3
 
 ENDS_AT_SHORTER = "the branch ends at the orbit of half its period"
 """Note on a period doubling that a branch reaches from the side of the doubled orbit."""
-
-FREE_PHASE_REACH = 0.05
-"""Scaled distance in the parameter and the period within which a branch without a section joins another one."""
 
 
 class FamilyContinuation(Tracing):
@@ -87,7 +80,8 @@ class FamilyContinuation(Tracing):
         for branch in {(segment.family, segment.branch) for segment in segments}:
             own = [segment for segment in segments if (segment.family, segment.branch) == branch]
             _refine_grazes(self._problem, own)
-        self._end_where_joined(segments)
+        if self._problem.at_section:
+            end_where_joined(segments, self._problem)
         return drop_duplicates(segments, self._problem)
 
     def stop(self, segments: list[Segment]) -> Stop:
@@ -187,31 +181,6 @@ class FamilyContinuation(Tracing):
         """Return why a segment ends at its last point, at which the condition of `stop` holds."""
         return ENDINGS[STOPPED]
 
-    def _end_where_joined(self, segments: list[Segment]) -> None:
-        """Move the ends of doubled branches to the period doublings, or else grazes, at which they join another branch.
-
-        The last step of a doubled branch passes the doubling by a distance that depends on rounding errors.
-        """
-        for segment in segments:
-            if all(mark.note != ENDINGS[STOPPED] for mark in segment.marks):
-                continue
-            last, cycles = segment.points.of([-1]), segment.points.times.shape[1]
-            marks = [mark for other in segments if other.family == segment.family for mark in other.marks]
-            for kind, name in (("period-doubling", "end"), ("grazing", "grazing")):
-                shifted = [
-                    np.append(np.tile(np.roll(m.orbit.u[0, :-1], k * self._problem.rows), 2), m.orbit.u[0, -1])
-                    for m in marks
-                    if m.kind == kind and 2 * m.orbit.times.shape[1] == cycles
-                    for k in range(cycles // 2)
-                ]
-                nearest = min(shifted, key=lambda u: float(np.abs(u - last.u).max()), default=last.u[0] + np.inf)
-                if np.abs(nearest - last.u).max() <= segment.reach:
-                    end = self._problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
-                    segment.points = Points.join([segment.points, end])
-                    segment.marks = [mark for mark in segment.marks if mark.note != ENDINGS[STOPPED]]
-                    segment.mark(name, ENDINGS[STOPPED])
-                    break
-
     def _add_marks(self, segment: Segment, special: Brackets) -> None:
         """Add special points to a segment, without the branch point at which it begins: the parameter may turn."""
         here = np.abs(special.near.u[:, -1] - segment.begin.u[0, -1]) < SAME_POINT
@@ -297,7 +266,7 @@ class FamilyContinuation(Tracing):
                 if mark.kind != "branch-point" or self._branches[segment.family] >= MAX_BRANCHES:
                     continue
                 known, here = self._crossings.setdefault(segment.family, []), invariants(self._problem, mark.orbit)
-                tangent = None if _is_among(here, known) else second_tangent(self._problem, mark.orbit)
+                tangent = None if is_among(here, known) else second_tangent(self._problem, mark.orbit)
                 if tangent is None:
                     continue
                 known.append(here)
@@ -357,88 +326,6 @@ def change_of(scene: Scene[Any], kind: str, near: Points, far: Points) -> tuple[
     names = [mode.name for mode, differs in zip(scene.modes, changed, strict=False) if differs]
     event = next((name for name in names if name in scene.named_events), "")
     return event, f"no impact: another order of events of {', '.join(names)}" if kind == "grazing" and not event else ""
-
-
-def invariants(problem: Problem, orbit: Points) -> np.ndarray:
-    """Return numbers that tell one orbit of a family from others, whatever its phase."""
-    values = np.sort_complex(multipliers(orbit.product)[0])
-    # Mirror images have equal multipliers. Where another branch crosses, states are less accurate than the parameter.
-    centre = orbit.u[0, : -len(problem.along)].reshape(-1, problem.rows).mean(axis=0) / 10 if problem.closes else []
-    return np.concatenate([orbit.u[0, -1:], np.log(orbit.period), orbit.swing, values.real, values.imag, centre])
-
-
-def _is_among(mine: np.ndarray, others: list[np.ndarray]) -> bool:
-    return any(np.abs(mine - other).max() < SAME_CROSSING for other in others)
-
-
-def drop_duplicates(segments: list[Segment], problem: Problem) -> list[Segment]:
-    """Remove branches that were continued twice, and renumber the others.
-
-    A closed branch was continued in both directions. A branch that connects two period doublings was continued from
-    both of them.
-    """
-    closed = {(s.family, s.branch) for s in segments if any(m.note == ENDINGS[CLOSED] for m in s.marks)}
-    again = _from_other_ends(segments, problem.rows)
-
-    def is_crossed(segment: Segment) -> bool:
-        """Return whether an earlier branch, which is not the one that it left, leads through its first point."""
-        assert segment.parent is not None and segment.crossing is not None
-        parent = segment.parent.branch
-        earlier = [
-            s for s in segments if s.family == segment.family and s.branch < segment.branch and s.branch != parent
-        ]
-        marks = [
-            invariants(problem, m.orbit)
-            for s in earlier
-            for m in s.marks
-            if m.kind == "branch-point" and not is_dropped(s)
-        ]
-        return _is_among(segment.crossing, marks)
-
-    def is_dropped(segment: Segment | None) -> bool:
-        while segment is not None:
-            branch = segment.family, segment.branch
-            if branch in again or (segment.direction < 0 and branch in closed):
-                return True
-            if segment.crossing is not None and is_crossed(segment):
-                return True
-            segment = segment.parent
-        return False
-
-    kept = [segment for segment in segments if not is_dropped(segment)]
-    numbers: dict[tuple[int, int], int] = {}
-    for segment in kept:
-        in_family = sum(family == segment.family for family, _ in numbers)
-        segment.branch = numbers.setdefault((segment.family, segment.branch), in_family)
-    return kept
-
-
-def _from_other_ends(segments: list[Segment], rows: int) -> set[tuple[int, int]]:
-    """Return the doubled branches, as (family, branch), that retrace another branch in the opposite direction."""
-    begins = {(s.family, s.branch): s.begin.u[0] for s in segments if s.doubled and s.number == 0}
-    ends = {
-        (segment.family, segment.branch): (mark.orbit.u[0], segment.reach)
-        for segment in segments
-        for mark in segment.marks
-        if mark.note == ENDINGS[STOPPED]
-    }
-
-    def meet(first: tuple[int, int], second: tuple[int, int]) -> bool:
-        """Return whether `first` begins at the end of `second`, up to a cyclic shift of the section crossings."""
-        begin, (end, reach) = begins[first], ends[second]
-        if len(begin) != len(end):
-            return False
-        if (len(begin) - 1) % rows:  # without a section: the phase is free, the parameter and the period decide
-            return bool(np.abs(begin[-2:] - end[-2:]).max() <= max(reach, FREE_PHASE_REACH))
-        shifts = range(0, len(begin) - 1, rows)
-        shifted = (np.append(np.roll(begin[:-1], shift), begin[-1]) for shift in shifts)
-        return any(np.abs(states - end).max() <= reach for states in shifted)
-
-    again: set[tuple[int, int]] = set()
-    for first, second in combinations(sorted(ends), 2):
-        if first[0] == second[0] and first not in again and meet(first, second) and meet(second, first):
-            again.add(second)
-    return again
 
 
 def in_order(segments: list[Segment]) -> tuple[list[Mark], list[Mark]]:

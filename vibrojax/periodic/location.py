@@ -21,8 +21,9 @@ from vibrojax.periodic.newton import multipliers
 from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns, solve_bordered, towards
 from vibrojax.periodic.return_map import across_impacts
 
-MAX_EVENT_CHANGES = 8
-"""Largest number of event changes that are located between two points of a branch."""
+MAX_EVENT_CHANGES = 32
+"""Largest number of event changes that are located between two points of a branch. Where a flight vanishes, so do all
+bounces behind it, one by one."""
 
 CRITICAL_DISTANCE = 1e-3
 """Largest distance of a located point's multiplier from its critical value. Where events begin or vanish, multipliers
@@ -31,6 +32,9 @@ may jump over the critical value; such a point has another kind."""
 GRAZED_MARGIN = 1e-4
 """Largest grazing margin of a grazing point. The margin may vary as the square root of the distance, and points are
 located, or branches stall, within `SHORTEST_STEP` (1e-9)."""
+
+SAME_MARGIN = 1e-4
+"""Relative difference of the margin up to which it goes on from one side of a change to the other."""
 
 SAME_TIME = 1e-2
 """Largest relative difference of the period of the motion between neighbouring points with the same crossings."""
@@ -80,9 +84,14 @@ class Locator:
         return Brackets.join(parts)
 
     def classified(self, changes: Brackets) -> Brackets:
-        """Return located changes of events, each with its kind; nothing is called grazing although nothing grazes."""
+        """Return located changes of events, each with its kind; nothing is called grazing although nothing grazes.
+
+        The margin vanishes at a graze. If it goes on, other events have changed, such as the number of bounces that end
+        in rest.
+        """
         changes = classify_event_changes(self.problem, _touching_end_first(changes))
-        grazes = np.minimum(changes.near.margin, changes.far.margin) < GRAZED_MARGIN
+        near, far = changes.near.margin, changes.far.margin
+        grazes = (np.minimum(near, far) < GRAZED_MARGIN) & (np.abs(near - far) > SAME_MARGIN * near)
         return changes.of(grazes | (changes.kind != SPECIAL_KINDS.index("grazing")))
 
     def __call__(self, branches: Branches) -> Brackets:

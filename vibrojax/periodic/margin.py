@@ -10,18 +10,21 @@ Guards are functions that are positive within a mode. The margin is the smallest
 The section's velocity also counts as a guard while its next zero is a section crossing. Guards and sections that follow
 from time alone cannot be grazed: such guards are left out, and such a section counts as 1.
 
-Of slower and slower bounces that end in rest on a stop (complete chatter), only the first counts. The map through all
-of them is smooth, although the last bounces graze: the rest erases the differences (Nordmark and Piiroinen,
-*Nonlinear Dynamics* 58 (2009), 85).
+Of slower and slower bounces that end in rest on a stop (complete chatter), only the first counts, also where they pass
+the section. The map through all of them is smooth, although the last bounces graze: the rest erases the differences
+(Nordmark and Piiroinen, *Nonlinear Dynamics* 58 (2009), 85).
 """
 
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from vibrojax.lazy import jax, jnp, lax
 from vibrojax.physics.arrays import Array, Flags, Lanes
-from vibrojax.scenes.declared import Section
+from vibrojax.scenes.declared import Section, Values
 from vibrojax.scenes.scene import Scene
 from vibrojax.stepping import Lane, Step
 from vibrojax.stepping.polynomial import Coefficients, slope, value
@@ -60,17 +63,20 @@ class Margin:
     c: Any
     derives: bool = False
 
-    def begin(self, zero: Lanes) -> Array:
-        """Return the rows (5, lanes) before the first step; see `after`."""
+    def begin(self, zero: Lanes, mode: Values) -> Array:
+        """Return the rows (6, lanes) before the first step; see `after`."""
         far = jnp.full_like(zero, jnp.inf)
-        return jnp.stack([far, far, far, zero, far])
+        rests = reduce(jnp.logical_or, self.scene.at_rest(mode).values(), zero > 0)
+        return jnp.stack([far, far, far, jnp.where(rests, 0.0, far), far, jnp.where(rests, -far, far)])
 
     def after(self, rows: Array, armed: Flags, lane: Lane, step: Step) -> Array:
-        """Return the minimum of `rows` (5, lanes) and of the margins within `step`, which leads to `lane`.
+        """Return the minimum of `rows` (6, lanes) and of the margins within `step`, which leads to `lane`.
 
-        The last two rows are for bounces that may end in rest: the margin of the last bounce, and the least margin of
-        the bounces since the first of the series. `armed`: mask of lanes whose next zero of the section's velocity is
-        a crossing.
+        The last three rows are for bounces that may end in rest: the margin of the last bounce, the least margin of the
+        bounces since the first of the series, and the margin of the first bounce since the section. The latter has a
+        negative sign if its series has ended in rest; then it does not count if the series began before the section.
+        It is minus infinity if the motion is at rest at the section.
+        `armed`: mask of lanes whose next zero of the section's velocity is a crossing.
         """
         if not self.derives:
             lane, step = lax.stop_gradient((lane, step))
@@ -85,7 +91,7 @@ class Margin:
             [rows[1], *of_section],
             [rows[2], *at_switches, *of_section],
         )
-        last, series = rows[3], rows[4]
+        last, series, first = rows[3:]
         before, after = self.scene.at_rest(step.mode), self.scene.at_rest(lane.mode)
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             if guard.name in self.scene.clocks:
@@ -97,8 +103,11 @@ class Margin:
             if guard.name in before:
                 bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
                 slower = bounces & (hit < last)
-                hit, series, last = (
+                begins = bounces & jnp.isinf(last)
+                first = jnp.where(begins, hit, jnp.where(bounces & ~slower & (first > 0), jnp.inf, first))
+                hit, first, series, last = (
                     jnp.where(slower, jnp.inf, jnp.where(bounces, jnp.minimum(hit, series), hit)),
+                    jnp.where(rests & (first < jnp.inf), -jnp.abs(first), first),
                     jnp.where(
                         rests | (bounces & ~slower), jnp.inf, jnp.where(slower, jnp.minimum(hit, series), series)
                     ),
@@ -106,15 +115,22 @@ class Margin:
                 )
             margins += [hit, miss]
             reach += [hit, jnp.sqrt(lax.stop_gradient(miss))]
-        return jnp.stack([*(reduce(jnp.minimum, margins) for margins in (switches, others, reach)), last, series])
+        least = (reduce(jnp.minimum, margins) for margins in (switches, others, reach))
+        return jnp.stack([*least, last, series, first])
 
     def total(self, rows: Array) -> Array:
-        """Return the margins (3, lanes) after the last step."""
-        return jnp.stack([rows[0], *jnp.minimum(rows[1:3], rows[4:])])
+        """Return the margins (3, lanes) after the last step, if no series of bounces passes the section."""
+        bounces = jnp.minimum(rows[4], jnp.abs(rows[5]))
+        return jnp.stack([rows[0], jnp.minimum(rows[1], bounces), jnp.minimum(rows[2], bounces)])
 
     def considered(self, guard: str, what: str, margin: Array) -> Array:
         """Return a margin of a guard, infinite where it does not count; `what`: hit, miss or switch."""
         return margin
+
+    @staticmethod
+    def ends(rows: Array) -> Array:
+        """Return the rows (5, lanes) of one return that `over_period` combines with those of the others."""
+        return jnp.stack([jnp.minimum(rows[0], rows[1]), *rows[2:]])
 
     def _of_section(self, armed: Flags, step: Step, pace: Lanes) -> list[Array]:
         section = self.section
@@ -140,6 +156,20 @@ class Margin:
                 begins = step.hits[guard.name] & (lane.mode[places[guard.name]] == 0) & (g > zero)
                 margins.append(self.considered(guard.name, "switch", jnp.where(begins, g / scale, jnp.inf)))
         return margins
+
+
+def over_period(ends: Float[np.ndarray, "orbits cycles 5"]) -> Float[np.ndarray, "orbits 2"]:
+    """Return the grazing margin of orbits, and the margin that limits the validity of derivatives.
+
+    **Arguments:** `ends`: see `Margin.ends`, of the returns in one period of each orbit.
+    """
+    last, series, first = np.moveaxis(ends[..., 2:], -1, 0)
+    before, opened = np.roll(last, 1, axis=1), np.roll(series, 1, axis=1)
+    # A motion that begins next to a stop is kept off it by rounding errors, so that its next bounce may be faster.
+    slower = -first < np.maximum(before, GRAZING)
+    complete = np.isfinite(before) & (first < 0) & (slower | np.isinf(first))
+    bounces = np.where(complete, np.inf, np.minimum(opened, np.abs(first)))
+    return np.asarray(np.minimum(ends[..., :2], bounces[..., None]).min(axis=1))
 
 
 def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> "jax.Array":

@@ -25,6 +25,7 @@ from vibrojax.lanes.programs import LaneArguments
 from vibrojax.lazy import jax
 from vibrojax.measures.since_start import half_names, scale_names, stored_scales
 from vibrojax.periodic.derivatives import NEUTRAL, NO_ORBIT, OrbitFeatures, differentiated
+from vibrojax.periodic.margin import over_period
 from vibrojax.periodic.measuring import ORBIT_ACCURACY, Measuring
 from vibrojax.periodic.newton import (
     branch_determinant,
@@ -178,7 +179,7 @@ class Orbits:
             # A small residual that hardly decreases is dominated by rounding errors.
             on = np.isfinite(reached) & ((reached < before / 2) | (reached > ACCEPTED))
             active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
-        product = chain(best.jacobian)
+        product, (margin, reach) = chain(best.jacobian), over_period(best.seen.margin).T
         outside |= same_side & (side * branch_determinant(product) < 0)
         return cls(
             scene=scene,
@@ -191,8 +192,8 @@ class Orbits:
             step=newton_step(states, best, scales),
             moved=np.where(outside, np.inf, distance_of(states, guess, scales)),
             impacts=best.seen.impacts.sum(axis=1),
-            margin=best.seen.margin.min(axis=1),
-            reach=best.seen.reach.min(axis=1),
+            margin=margin,
+            reach=reach,
             steps=best.seen.steps,
             lane=np.arange(count),
         )
@@ -400,11 +401,10 @@ class Orbits:
         `inputs`: chunk of lanes, of which `lane` holds the indices. If lanes have impacts, the number of these must
         also be that of the orbit.
         """
-        cycles = self.states.shape[1]
         orbit = self.lane, self.states, self.times, self.steps.sum(axis=1)
         features, whole = measure(inputs, *orbit, accuracy)
         if "impacts" in features:
-            features["impacts"] = np.round(features["impacts"] * cycles)
+            features["impacts"] = np.round(features["impacts"] * self.states.shape[1])
             whole &= features["impacts"] == self.impacts
         return features, whole
 

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from vibrojax.errors import Place, shown
 from vibrojax.periodic.flow_map import moving_names
+from vibrojax.periodic.margin import over_period
 from vibrojax.periodic.newton import chain, images_by_lane, multipliers, shooting_matrix, solve
 from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import SCENES, Scene
@@ -312,7 +313,7 @@ class Problem:
             product=chain(jacobian[..., :rows]),
             impacts=images.seen.impacts.sum(axis=1),
             mode_changes=images.seen.mode_changes.sum(axis=1),
-            margin=images.seen.margin.min(axis=1),
+            margin=over_period(images.seen.margin)[:, 0],
             swing=swing.max(axis=1),
         )
 

@@ -40,8 +40,7 @@ class ReturnEvents(NamedTuple):
 
     - `returned`: True if the section was reached; `impacts`: number of impacts; `steps`: number of steps.
     - `mode_changes` (modes, 3, lanes): numbers of changes of each mode to the values -1, 0 and 1.
-    - `margin`: grazing margin, see [vibrojax.periodic.margin][]; its two rows (2, lanes) at the end of a loop.
-    - `reach`: the margin that limits the validity of derivatives.
+    - `margin` (rows, lanes): see `Margin.total`; of a return map `Margin.ends`, which `over_period` combines.
     - `least`, `greatest` (states, lanes): smallest and greatest values of the return map's states.
     """
 
@@ -50,7 +49,6 @@ class ReturnEvents(NamedTuple):
     steps: Lanes
     mode_changes: Array
     margin: Array
-    reach: Lanes
     least: Array
     greatest: Array
 
@@ -80,7 +78,7 @@ class _Flight(NamedTuple):
 
 def varying(flight: _Flight) -> Any:
     """Return the parts of lanes on their way that have derivatives."""
-    return flight.lane, flight.time, flight.margins, flight.seen.margin, flight.seen.reach
+    return flight.lane, flight.time, flight.margins, flight.seen.margin
 
 
 @lane_function(static=3, derives=True)
@@ -103,7 +101,7 @@ def mapped(
     """
     loop = ReturnLoop(scene, stepper, accuracy, most_steps)
     flight, moved = loop.differentiated(along, p, state)
-    seen = flight.seen._replace(margin=jnp.min(flight.seen.margin, axis=0))
+    seen = flight.seen._replace(margin=Margin.ends(flight.margins))
     return Mapped(map_state(scene, flight.lane), flight.time, map_state(scene, moved.lane), seen)
 
 
@@ -131,9 +129,10 @@ class ReturnLoop(NamedTuple):
         none = jnp.zeros_like(zero, bool)
         own = jax.lax.stop_gradient(map_state(scene, lane))
         changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
-        far = jnp.full((2, *zero.shape), jnp.inf, zero.dtype)
-        seen = ReturnEvents(none, zero, zero, changes, far, far[0], own, own)
-        return _Flight(lane, zero, none, self._margin(c).begin(zero), seen)
+        margin = self._margin(c)
+        margins = margin.begin(zero, lane.mode)
+        seen = ReturnEvents(none, zero, zero, changes, margin.total(margins), own, own)
+        return _Flight(lane, zero, none, margins, seen)
 
     def continues(self, flight: _Flight) -> Flags:
         return jnp.any(self._moving(flight))
@@ -145,15 +144,13 @@ class ReturnLoop(NamedTuple):
         armed, returns = passed(scene, section, c, flight.armed, step)
         seen = flight.seen
         margins = jnp.where(moving[None], margin.after(flight.margins, flight.armed, lane, step), flight.margins)
-        total = margin.total(margins)
         own = jax.lax.stop_gradient(map_state(scene, lane))
         seen = ReturnEvents(
             returned=seen.returned | (returns & moving),
             impacts=seen.impacts + _impacts(scene, c, step),
             steps=seen.steps + moving.astype(seen.steps.dtype),
             mode_changes=seen.mode_changes + _mode_changes(step.mode, lane.mode),
-            margin=total[:2],
-            reach=total[2],
+            margin=margin.total(margins),
             least=jnp.minimum(seen.least, own),
             greatest=jnp.maximum(seen.greatest, own),
         )

@@ -80,9 +80,6 @@ class TimedContinuation(FamilyContinuation):
         own = points.u[:, : -1 - len(self._problem.along)].reshape(size)
         return np.asarray((own - own.mean(axis=1, keepdims=True)).reshape(size[0], size[1] * size[2]))
 
-    def _end_where_joined(self, segments: list[Segment]) -> None:
-        """Doubled branches end before the doubling at which they join another branch; the mark says so."""
-
 
 GROWTH = 30.0
 """Largest growth of a small distance over a part of the first orbit; along the family it may become greater."""

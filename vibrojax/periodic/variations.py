@@ -168,7 +168,7 @@ def second_variation(
     (flight, moved), (slopes, d_moved) = twice.run((values, state, state))
 
     def results(flight: Any, moved: Any) -> tuple[Array, ...]:
-        return map_state(scene, flight.lane), flight.time, map_state(scene, moved.lane), flight.seen.margin
+        return map_state(scene, flight.lane), flight.time, map_state(scene, moved.lane), flight.seen.margin[..., :2, :]
 
     # The single directions of both derivatives have axes of their own, before that of the lanes.
     image, time, derivative, margin = results(flight, moved)

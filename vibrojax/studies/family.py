@@ -21,7 +21,7 @@ from vibrojax.periodic.hopf import orbit_at_hopf
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Points, Problem, towards
-from vibrojax.periodic.return_map import MOST_STEPS
+from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.periodic.segments import Mark
 from vibrojax.periodic.timed_families import TimedContinuation, at_section, free_problem, returning_orbit, through
 from vibrojax.periodic.timed_problem import TimedProblem, has_free_phase
@@ -132,13 +132,12 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     if spec.hopf:
         return _from_hopf(spec, section)
     if spec.orbit is not None and has_free_phase(section.scene):
-        return _free(spec, section, *_given_orbit(section, *spec.orbit))
+        return _free(spec, section, *_given_orbit(spec, section, spec.orbit[1]))
     if not section.scene.return_states:
         place = Place("follow").at("cycles")
         raise place.error("a motion of one state has no orbits; for its equilibria give cycles=0")
-    dataset = run_sweep(spec.sweep, progress=progress)
-    stands = bool(section.scene.autonomous) and bool((dataset["regime"] == REGIMES.index("equilibrium")).all())
-    if spec.orbit is None and stands:
+    dataset = None if spec.orbit is not None else run_sweep(spec.sweep, progress=progress)
+    if dataset is not None and section.scene.autonomous and (dataset["regime"] == REGIMES.index("equilibrium")).all():
         return _equilibria(spec, section, spec.sweep.run.settle)
     if has_free_phase(section.scene):
         return _free(spec, section, *free_problem(section, _first_orbits(spec, section, dataset)))
@@ -176,13 +175,7 @@ def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.
     guesses, known = [], dict[int, Equilibrium]()
     for number in range(sweep.lanes):
         own = {name: x[[number]] for name, x in section.parameters.items()}
-        guess = np.zeros((len(section.moving), 1))
-        if sweep.starts is not None:
-            with precision("float64"):
-                whole = dict(
-                    zip(scene.state_names, scene.start(scene.constants(own), sweep.starts[0], (1,)), strict=True)
-                )
-            guess = np.array([np.broadcast_to(whole[name], 1) for name in section.moving], float)
+        guess = np.zeros((len(section.moving), 1)) if sweep.starts is None else _states_at_start(spec, section, own)
         if settle:
             guess = np.asarray(Flow(scene)(own, guess, np.array([settle])).state)
         guesses.append(guess[:, 0])
@@ -197,6 +190,16 @@ def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.
     problem, first = EquilibriumProblem.through(section, known)
     segments = EquilibriumContinuation(problem)(np.array([*known]), first)
     return families_dataset(sweep, problem, *in_order(segments))
+
+
+def _states_at_start(spec: FamilySpec, section: Problem, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the moving states (states, 1) at the start, of which the section's state is relative to its level."""
+    scene, starts = section.scene, spec.sweep.starts
+    assert starts is not None
+    with precision("float64"):
+        states = scene.start(scene.constants(parameters), starts[0], (1,))
+    whole = dict(zip(scene.state_names, states, strict=True))
+    return np.array([np.broadcast_to(whole[name], 1) for name in section.moving], float)
 
 
 def _free(
@@ -253,10 +256,10 @@ def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
     return families_dataset(spec.sweep, section, points, special)
 
 
-def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
+def problem_of(spec: FamilySpec, dataset: xr.Dataset | None) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
     """Return the equations, the indices of families with an initial orbit, and the unknowns of these orbits.
 
-    **Arguments:** `dataset`: result of the specified sweep.
+    **Arguments:** `dataset`: result of the specified sweep; None if an orbit is given.
 
     **Raises:** `InputError` if no family has an initial orbit.
     """
@@ -270,15 +273,16 @@ def problem_of(spec: FamilySpec, dataset: xr.Dataset) -> tuple[Problem, np.ndarr
     return problem, np.array(families), [unknowns[family] for family in families]
 
 
-def _first_orbits(spec: FamilySpec, section: Problem, dataset: xr.Dataset) -> list[Orbits]:
+def _first_orbits(spec: FamilySpec, section: Problem, dataset: xr.Dataset | None) -> list[Orbits]:
     """Return the first orbits of families, whose `lane` is the number of the family.
 
     **Raises:** `InputError` if no family has an initial orbit.
     """
+    if spec.orbit is not None:
+        return [_traced_orbit(spec, section, *spec.orbit)]
+    assert dataset is not None
     dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
     lane = dataset.isel(point=0)
-    if spec.orbit is not None:
-        return [_traced_orbit(section, spec.orbit[1], lane)]
     known = orbits_of(section.scene, dataset, section.parameters)
     if not known:
         why, where = why_no_orbit(lane), f"{spec.along} = {float(lane[spec.along]):g}"
@@ -295,17 +299,17 @@ def _with_scales(section: Problem, known: list[Orbits]) -> Problem:
     return replace(section, scales=scales, most_steps=max(orbits.most_steps for orbits in known))
 
 
+@np.errstate(all="ignore")
 def _given_orbit(
-    section: Problem, states: list[float], period: float
+    spec: FamilySpec, section: Problem, period: float
 ) -> tuple[TimedProblem, np.ndarray, list[np.ndarray]]:
     """Return the equations without a section, the number of the family, and the unknowns of the orbit near a given one.
 
     **Raises:** `InputError` if Newton's method finds none.
     """
     place, [along], family = Place("follow").at("orbit"), section.along, np.zeros(1, int)
-    own = dict(zip(section.scene.start_states, states, strict=True))
     value = section.parameters[along][:1]
-    begin = np.array([[own[name] for name in section.moving]])
+    begin = _states_at_start(spec, section, section.parameters).T
     while True:
         timed, [u] = through(section, family, begin, np.array([period]), value)
         point, converged = timed.correct(family, u[None], towards(u[None], 1.0), u[None, -1])
@@ -336,20 +340,27 @@ def _repeats(timed: TimedProblem, point: Points) -> int:
     return int(parts[same].max(initial=1))
 
 
-def _traced_orbit(section: Problem, period: float, lane: xr.Dataset) -> Orbits:
+def _traced_orbit(spec: FamilySpec, section: Problem, states: list[float], period: float) -> Orbits:
     """Return the orbit near a given one, by its states at the section.
 
-    **Arguments:** `lane`: the motion from the given states, with its last returns.
+    The states of a forced system are those at the section. On a stop, they may be beyond it by rounding errors.
 
     **Raises:** `InputError` if Newton's method finds none.
     """
     place, scene = Place("follow").at("orbit"), section.scene
-    times = lane["return_time"].values.ravel()
-    known = np.isfinite(times)
-    if known.sum() < 2:
-        raise place.error("the motion from these states does not return to the section; give states on the orbit")
-    cycles = int(np.clip(round(period / np.diff(times[known]).mean()), 1, MOST_CYCLES))
-    begin = np.array([[lane[f"return_{name}"].values.ravel()[known][0] for name in scene.return_states]])
+    if scene.section is not None and scene.section.velocity in scene.clocks:
+        given = dict(zip(scene.start_states, states, strict=True))
+        begin = np.array([[given[name] for name in scene.return_states]])
+        time = float(Segments(scene)(section.parameters, begin.T).time[0])
+    else:
+        lane = run_sweep(spec.sweep, progress=False).squeeze()
+        times = lane["return_time"].values
+        known = np.isfinite(times)
+        if known.sum() < 2:
+            raise place.error("the motion from these states does not return to the section; give states on the orbit")
+        begin = np.array([[lane[f"return_{name}"].values[known][0] for name in scene.return_states]])
+        time = np.diff(times[known]).mean()
+    cycles = int(np.clip(round(period / time), 1, MOST_CYCLES))
     guess = Orbits.trace(scene, section.parameters, begin, cycles)
     orbit = Orbits.find(scene, section.parameters, guess.states, scales=guess.scales)
     if not orbit.converged[0]:
