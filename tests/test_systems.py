@@ -89,7 +89,7 @@ MISTAKES = {
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
     "field asks for 'c'": {"field": lambda t, y, p: {"x": y["v"], "v": -p["c"]}},
     "not jnp, np or math": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
-    "field depends on t": {"field": FORCED},
+    "it depends on t; give period=": {"field": FORCED},
     "does not repeat after the period": {"field": FORCED, "section": None, "period": 6.0},
     "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
