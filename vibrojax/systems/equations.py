@@ -302,6 +302,8 @@ class SystemEquations(Scene[SystemConstants]):
         fails = [beyond | (r < 0) | (r > 1) for _, _, beyond, r in self._stops(c.p, zero, y)]
         fails += [event.inertia(c.p) + zero <= 0 for _, event in self._flow.of(Friction) if callable(event.mass)]
         fails += [slope < 0 for _, slope in self._opposing(c.p, zero, y)]
+        for _, event in self._flow.of(Friction):
+            fails += [event.coefficient(zero, c.p) + zero < 0, event.at_rest(c.p) + zero < 0]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
     def has_no_field(self, c: SystemConstants, mode: Values, state: Values) -> Any:
@@ -349,6 +351,9 @@ class SystemEquations(Scene[SystemConstants]):
             text = f"the normal force of {event.name} is {_first(force):.6g} at the start; it must not be negative"
             mask = (force < 0) & (not event.lift_off)
             faults.append(("negative-normal-force", text, mask))
+            for at, coefficient in (("", event.coefficient(t, p) + t), ("static ", event.at_rest(p) + t)):
+                text = f"the {at}coefficient of {event.name} is {_first(coefficient):.6g}; it must not be negative"
+                faults.append(("friction-drives", text, coefficient < 0))
             mass = event.inertia(p) + t
             text = f"the mass of {event.name} is {_first(mass):.6g}; it must be above 0"
             faults.append(("mass-not-above-zero", text, mass <= 0))

@@ -263,6 +263,12 @@ class Probe:
             if isinstance(event, Friction):
                 what = f"event {event.name}: normal"
                 self._number(what, self._call(what, event.force, self._t, self._y, self._p, self._sides))
+                for part, function in (("law", event.law), ("static", event.static)):
+                    what = f"event {event.name}: {part}"
+                    if callable(function) and not isinstance(function, FrictionLaw):
+                        self._number(what, self._call(what, function, self._p))
+                    elif part == "static" and function is not None:
+                        self._number(what, function)
                 what = f"event {event.name}: mass"
                 mass = self._number(what, self._call(what, event.inertia, self._p))
                 if not bool((mass > 0).all()):
@@ -274,12 +280,22 @@ class Probe:
                     given = f"values of {', '.join(map(str, new))}" if isinstance(new, Mapping) else kind
                     known = ", ".join([*self._states, *self._discrete])
                     raise self._refuse(f"{what} gave {given}; it must give a dict of new values of the states {known}")
+                for key, value in new.items():
+                    self._number(f"{what}, {key},", value)
             elif isinstance(event, Impact):
                 what = f"event {event.name}: restitution"
                 r = self._number(what, self._call(what, event.bounce, self._p))
                 if not bool(((r >= 0) & (r <= 1)).all()):
                     raise self._refuse(f"{what} is {float(r[0]):g}; it must lie between 0 and 1")
         self._check_series()
+
+    def check_rate(self, rate: Any) -> None:
+        """Refuse a function of the fastest rate of change that does not give a rate above zero."""
+        if not callable(rate):
+            raise self._refuse(f"rate is {shown(rate)}; write a function: lambda p: {rate}")
+        value = self._number("rate", self._call("rate", rate, self._p))
+        if not bool((value > 0).all()):
+            raise self._refuse(f"rate is {float(value[0]):g}; it must be above zero")
 
     def _check_effect(self, event: Event) -> None:
         """Refuse an event whose function does not depend on what the event changes, or a friction that drives."""
