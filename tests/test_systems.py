@@ -91,6 +91,11 @@ MISTAKES = {
     "not jnp, np or math": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
     "it depends on t; give period=": {"field": FORCED},
     "does not repeat after the period": {"field": FORCED, "section": None, "period": 6.0},
+    "it does not repeat after the period; check period=": {
+        "field": lambda t, y, p: {"x": y["v"], "v": vj.elementary.maximum(cos(2 * np.pi * t / 3) - 0.95, 0.0)},
+        "section": None,
+        "period": 2.0,
+    },
     "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
     "decides by a value": {"field": lambda t, y, p: {"x": y["v"], "v": -max(y["x"], 0.0)}},

@@ -31,8 +31,8 @@ RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmo
 
 _UNIT_EXAMPLES = "give one such as 'm s-1', 'rad', 'deg', 'N m', or '1'"
 
-SHIFTS = (0.37, 3.9, 41.0, 433.0)
-"""Times [s] after which a function that does not depend on the time is the same."""
+SHARES = np.random.default_rng(3).uniform(0.0, 1.0, (20, LANES))
+"""Times at which functions are compared with other times: some fall into pulses that last a tenth of a period."""
 
 MOST_HELD = 16
 """Greatest number of combinations of discrete states with which functions are tried."""
@@ -339,7 +339,7 @@ class Probe:
             return
         if callable(section):
             value = self._number("section", self._call("section", section, self._t, self._y, self._p))
-            if not equal(value, section(self._t + SHIFTS[0], self._y, self._p)) or equal(value, value[0]):
+            if not equal(value, section(self._t + 0.37, self._y, self._p)) or equal(value, value[0]):
                 raise self._refuse("section must depend on states, and not on t; write section(t, y, p)")
             self._check_expands("section", section)
         elif section is not None:
@@ -356,13 +356,12 @@ class Probe:
                 raise self._refuse("it depends on t; give period= (of the forcing) instead of section=")
             return
         T = self._number("period", period(self._p) if callable(period) else period)
-        for share in (0.13, 0.41):
-            if not self._same(share * T, (share + 1) * T) or not self._same(share * T, (share - 1) * T):
-                raise self._refuse("it does not repeat after the period; check period=")
+        if not all(self._same(Plain.of(share) * T, Plain.of(share - 1.0) * T) for share in SHARES):
+            raise self._refuse("it does not repeat after the period; check period=")
 
     def depends_on_time(self) -> bool:
         """Return whether the field or an event depends on the time."""
-        return not all(self._same(self._t, self._t + shift) for shift in SHIFTS)
+        return not all(self._same(self._t, Plain.of(1e6**share)) for share in SHARES)
 
     def _same(self, first: Any, second: Any) -> bool:
         """Return whether the field and the events are the same at two times, on all sides."""
