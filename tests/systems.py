@@ -26,7 +26,8 @@ def mass(rate, *events, name="mass", parameters=None, **options):
 
 def one_state(rate, *events, **options):
     """Return a system of one state x; `rate` gives its rate, as a field does."""
-    field = lambda t, y, p: {"x": rate(t, y, p)}  # noqa: E731
+    fields = {3: lambda t, y, p: {"x": rate(t, y, p)}, 4: lambda t, y, p, s: {"x": rate(t, y, p, s)}}
+    field = fields[len(signature(rate).parameters)]
     return vj.System("one-state", states={"x": "1"}, field=field, events=events, **options)
 
 

@@ -128,6 +128,8 @@ def test_dataset_is_no_sweep():
 def test_object_that_is_not_an_analysis_is_refused(wrong):
     with pytest.raises(vj.InputError, match="is not an Analysis"):
         vj.analyse("regime-map", wrong)
+    with pytest.raises(vj.InputError, match="Bare has no method run"):
+        vj.analyse("regime-map", type("Bare", (vj.Analysis,), {"kind": "bare"})())
 
 
 def test_datasets_of_earlier_versions_receive_their_kind():

@@ -307,6 +307,16 @@ def test_bad_input_is_refused_in_one_line(change, line):
     assert line in refusal(read_calibration, settings | change)
 
 
+def test_observed_impact_velocities_are_converted_to_the_unit_of_the_system():
+    wall = vj.Impact("wall", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=0.7)
+    field = lambda t, y, p: {"x": y["v"], "v": p["a"] * vj.elementary.cos(t) - 0.1 * y["v"]}  # noqa: E731
+    about = {"states": {"x": "mm", "v": "mm s-1"}, "parameters": {"a": 1.0, "d": 1.0}, "period": 2 * np.pi}
+    known = {"scene": vj.System("small", field=field, events=[wall], **about), "unknown": {"d": [0.5, 1.5]}}
+    for name, value in (("impact_velocity (m/s)", 7e-4), ("impact_velocity (mm/s)", 0.7), ("impact_velocity", 0.7)):
+        read = read_calibration(known | {"data": {"a": [0.5], name: [value]}, "error": {"impact_velocity": 0.01}})
+        assert read.problem.values.item() == pytest.approx(0.7, rel=1e-15)
+
+
 @pytest.mark.long
 def test_observations_on_both_sides_of_an_impact_at_the_section_are_used():
     """At a = 0.84, where the orbit's impact passes the section, only the state there jumps."""

@@ -180,6 +180,12 @@ def test_datasets_are_converted_from_the_units_that_they_state():
     np.testing.assert_allclose([points["v"], points["beta"]], [[0.8, 1.2], [0.3, 0.4]], rtol=1e-15)
     point = read_point(Place("simulate"), "vibro-impact", {"v": table.v[1], "beta": 40 * UNIT.percent})
     assert [point.parameters[name] for name in ("v", "beta")] == pytest.approx([1.2, 0.4], rel=1e-15)
+    sliding = vj.System(
+        "slide", states={"x": "mm"}, parameters={"n": 1.0}, field=lambda t, y, p: {"x": -p["n"] * y["x"]}, section="x"
+    )
+    for starts in ([[2 * UNIT.m]], {"plane": {"x": {"start": 2 * UNIT.m, "stop": 3 * UNIT.m, "num": 2}}}):
+        assert read_sweep({"scene": sliding, "starts": starts}).starts[0][0] == 2000.0
+    assert read_point(Place("simulate"), sliding, {}, [2 * UNIT.m]).start == (2000.0,)
 
 
 def test_arrays_in_other_units_are_refused():

@@ -91,8 +91,13 @@ MISTAKES = {
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
     "field asks for 'c'": {"field": lambda t, y, p: {"x": y["v"], "v": -p["c"]}},
     "not jnp, np or math": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
-    "field depends on t": {"field": FORCED},
+    "it depends on t; give period=": {"field": FORCED},
     "does not repeat after the period": {"field": FORCED, "section": None, "period": 6.0},
+    "it does not repeat after the period; check period=": {
+        "field": lambda t, y, p: {"x": y["v"], "v": vj.elementary.maximum(cos(2 * np.pi * t / 3) - 0.95, 0.0)},
+        "section": None,
+        "period": 2.0,
+    },
     "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
     "decides by a value": {"field": lambda t, y, p: {"x": y["v"], "v": -max(y["x"], 0.0)}},
@@ -115,6 +120,14 @@ MISTAKES = {
     "a pair of a state and a number, or a function": {"section": 3.0},
     "that is a kind of special points": {"events": [vj.Switch("fold", lambda t, y, p: y["x"])]},
     "either velocity=": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"])]},
+    "belt: law fails with TypeError": {
+        "events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": lambda u, p: 0.2})]
+    },
+    "belt: static gave str": {"events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB, static="s")]},
+    "reset, x, gave NoneType": {
+        "events": [vj.Impact("gate", lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"x": None})]
+    },
+    "rate is -1; it must be above zero": {"rate": lambda p: -1.0},
 }
 
 
@@ -144,10 +157,13 @@ def test_mass_that_is_not_positive_fails_with_reason():
 
 def test_friction_that_drives_for_some_parameters_fails_with_reason():
     """The probe of a system sees the default only: the friction opposes the motion for a positive sign."""
-    friction = vj.Friction("base", lambda t, y, p: p["sign"] * y["v"], lambda t, y, p: 1.0, 0.3, "v")
-    block = mass(lambda t, y, p: vj.elementary.cos(2 * np.pi * t) - y["x"], friction, parameters={"sign": 1.0})
-    ds = vj.run_sweep({"scene": block, "grid": {"sign": [2.0, -1.0]}, "run": {"settle": 1.0}}, progress=False)
-    assert names_of(ds, "reason") == ["none", "friction-drives"] and names_of(ds)[1] == "failed"
+    law = {"normal": lambda t, y, p: 1.0, "law": lambda p: p["mu"], "acts_on": "v"}
+    friction = vj.Friction("base", lambda t, y, p: p["sign"] * y["v"], **law)
+    parameters = {"sign": 1.0, "mu": 0.3}
+    block = mass(lambda t, y, p: vj.elementary.cos(2 * np.pi * t) - y["x"], friction, parameters=parameters)
+    points = {"sign": [2.0, -1.0, 1.0], "mu": [0.3, 0.3, -0.3]}
+    ds = vj.run_sweep({"scene": block, "points": points, "run": {"settle": 1.0}}, progress=False)
+    assert names_of(ds, "reason") == ["none", *["friction-drives"] * 2] and names_of(ds)[1:] == ["failed"] * 2
     with pytest.raises(vj.InputError, match=r"relative of base falls where v rises, so that friction would drive it"):
         vj.simulate(block, sign=-1.0, progress=False)
 

@@ -3,11 +3,14 @@
 Right values are closed forms, or follow from an independent integration by SciPy (stated at the test).
 """
 
+import functools
+
 import numpy as np
 import pytest
+from refusals import refusal
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from systems import ends, events_of, mass
+from systems import ends, events_of, mass, one_state
 
 import vibrojax as vj
 
@@ -133,6 +136,40 @@ def test_normal_force_depends_on_the_side_of_a_switch():
     with pytest.raises(vj.InputError, match=f"ends at t = {time:.6g} s: negative normal force"):
         vj.simulate(contact(normal), start=[2.0, -5.0], duration=1.0, progress=False)
     assert ends(contact(normal, lift_off=True), [2.0, -5.0], 1.0)[1] == pytest.approx(speed, abs=1e-8)
+    with pytest.raises(vj.InputError, match=f"ends at t = {(3 - 6**0.5) / 1.5:.6g} s: negative normal force"):
+        vj.simulate(contact(lambda t, y, p, s: -5.0 * s["side"]), start=[0.0, 3.0], duration=1.0, progress=False)
+
+
+def test_frictions_and_kinks_of_both_sides_count_while_the_motion_slides():
+    """w' = 1/2 - s slides with 3/4 of the side 1. There x'' = -|x + 2 s| is -2 - x/2, and the friction is 0.45."""
+    side = vj.Switch("s", lambda t, y, p: y["w"])
+    normal = lambda t, y, p, s: s["s"] ** 2 * (2 - s["s"])  # noqa: E731
+    rub = vj.Friction("rub", relative=lambda t, y, p: y["u"], normal=normal, law=0.3, acts_on="u")
+    field = lambda t, y, p, s: {"x": y["v"], "v": -abs(y["x"] + 2 * s["s"]), "u": 0.5, "w": 0.5 - s["s"]}  # noqa: E731
+    states = {"x": "m", "v": "m s-1", "u": "m s-1", "w": "1"}
+    system = vj.System("slide", states=states, parameters={"p": 0.0}, field=field, section="x", events=[side, rub])
+    assert ends(system, [1.0, 0.0, 0.0, 0.0], 1.0)[::2] == pytest.approx([5 * np.cos(0.5**0.5) - 4, 0.05], abs=1e-8)
+
+
+def test_time_matters_on_any_side_and_in_any_discrete_state():
+    far, level = vj.Switch("far", lambda t, y, p: y["x"] - 5.0), {"gap": lambda t, y, p: 1.0 - y["x"]}
+    begin = vj.Impact("gate", reset=lambda t, y, p, s: {"x": 0.0 * y["x"], "on": 1.0}, **level)
+    later = vj.Impact("gate", reset=lambda t, y, p: {"x": y["x"] - 3.0 * t}, **level)
+    begins = lambda t, y, p, s: 1 + s["on"] * (cos(t) - 1)  # noqa: E731
+    for rate, events, options, end in (
+        (lambda t, y, p, s: (1 - s["far"]) / 2 * cos(t), [far], {}, np.sin(2.0)),
+        (begins, [begin], {"modes": {"on": 0}}, np.sin(2.0) - np.sin(1.0)),
+        (lambda t, y, p: 1.0, [later], {}, -1.0),
+    ):
+        make = functools.partial(one_state, rate, *events, parameters={"p": 0.0}, **options)
+        assert ends(make(), [0.0], 2.0) == pytest.approx([end], abs=1e-8)
+        assert "it depends on t; give period=" in refusal(make, section="x")
+
+
+def test_kink_inside_another_kink_is_located():
+    """x' = -|max(-x, 0) - 1| - 1 from 0: x = 2 e^-t - 2 down to -1, and then x' = x."""
+    inside = one_state(lambda t, y, p: -abs(E.maximum(-y["x"], 0.0) - 1) - 1, parameters={"p": 0.0})
+    assert ends(inside, [0.5], 0.25 + np.log(2) + 1.0) == pytest.approx([-np.e], abs=1e-7)
 
 
 def test_kinks_follow_sides_that_a_switch_or_a_jump_changes():

@@ -101,6 +101,8 @@ def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():
     assert float(box.irregular_share[0]) >= irregular > 0
     lines = analysis_of(box).summary(box)[0].lines
     assert lines[0].startswith("irregular motions in the box") and lines[-1] == box.attrs["extremes"]
+    unknown = box.assign(impact_power=box.impact_power.where(box["sample"] > 0))
+    assert any("nominal none" in line for line in analysis_of(box).summary(unknown)[0].lines)
 
 
 def test_scene_without_regimes_and_settings_of_runs_are_refused():

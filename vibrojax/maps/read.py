@@ -187,7 +187,7 @@ def read_start(place: Place, value: object, names: Names) -> Start | None:
         return names.starts[0] if names.starts else None
     if not names.has_starts:
         raise place.error(f"scene {shown(names.scene)} has no starts; leave it out")
-    return names.start(place, plain(place, value))
+    return names.start(place, plain(place, value, lambda: names.units))
 
 
 @dataclass(frozen=True)

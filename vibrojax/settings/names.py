@@ -75,8 +75,10 @@ class Names:
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Unit of each number that can be assigned."""
-        return {name: parameter.unit for name, parameter in self.writable.items()}
+        """Unit of each number that can be assigned: parameters and states by name, and states as `start[0]`, ..."""
+        known = {state.name: state.unit for state in self.system.states if state.name in self.system.start_states}
+        places = {f"start[{k}]": known[name] for k, name in enumerate(self.system.start_states) if name in known}
+        return known | places | {name: parameter.unit for name, parameter in self.writable.items()}
 
     @cached_property
     def presets(self) -> dict[str, dict[str, dict[str, float]]]:

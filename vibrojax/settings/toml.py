@@ -199,8 +199,7 @@ def plain(place: Place, value: object, units: Units = dict) -> object:
     if hasattr(value, "__array__"):  # of NumPy, JAX, pandas, xarray or pint
         array = np.asarray(magnitude(value))
         if array.dtype.kind in "iuf" and (unit := stated_unit(value)) is not None:
-            name = place.key.rpartition(".")[2].partition("[")[0]
-            scale = stated_scale(place.error, unit, units().get(name))
+            scale = stated_scale(place.error, unit, _unit_at(place, units()))
             array = array if scale == 1.0 else scale * array
         return plain(place, array.tolist())
     if isinstance(value, (list, tuple, range)):
@@ -214,6 +213,17 @@ def plain(place: Place, value: object, units: Units = dict) -> object:
     if isinstance(value, (bool, int, float, str, *_OBJECTS)):
         return value
     raise place.error(f"{shown(value)} cannot stand in a sweep; write a number, text, a list or a table")
+
+
+def _unit_at(place: Place, units: Mapping[str, str]) -> str | None:
+    """Return the unit of the number at a place, such as `grid.v.stop` or `starts[0][1]`; None if it is not known."""
+    for part in reversed(place.key.split(".")):
+        name, _, index = part.partition("[")
+        of_start = f"start[{index.rpartition('[')[2]}" if name == "starts" else name
+        for item in (part, of_start, name):
+            if item in units:
+                return units[item]
+    return None
 
 
 def render(table: Mapping[str, object]) -> str:

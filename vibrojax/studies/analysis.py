@@ -130,7 +130,7 @@ class Analysis(Settings):
 
         **Raises:** `InputError` if `source` cannot be analysed.
         """
-        raise NotImplementedError(f"{type(self).__name__}.run")
+        raise InputError(f"analyse: {type(self).__name__} has no method run(source, progress)")
 
     def picture(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Figure":
         """Draw a dataset of this kind; `over`: datasets that are drawn on top.

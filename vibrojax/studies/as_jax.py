@@ -357,7 +357,8 @@ def as_jax(
             raise place.at(name).error("is in `by` as well; give it in one of the two")
     first = None
     if at is not None:
-        place, values = place.at("at"), plain(place.at("at"), at)
+        units = {f"at[{k}]": table[name].unit for k, name in enumerate(parameters)}
+        place, values = place.at("at"), plain(place.at("at"), at, lambda: units)
         if not isinstance(values, list) or len(values) != len(parameters):
             expected = f"give a list of one number for each of {', '.join(parameters)}"
             raise place.error(f"{shown(values)} does not fit; {expected}")

@@ -15,6 +15,7 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.io.log_columns import split_unit
 from vibrojax.io.tables import decimal_mark, read_cells, to_numbers
 from vibrojax.io.variables import VARIABLES
+from vibrojax.lanes.labels import measured_besides
 from vibrojax.lazy import jax
 from vibrojax.maps.bounds import SceneFile, read_bounds, read_file
 from vibrojax.maps.read import read_point
@@ -188,7 +189,8 @@ def _read_rows(
         raise place.at("data").error('missing; give the path of a CSV file with observations, like data = "runs.csv"')
     writable = {name: x for name, x in names.writable.items() if name in names.parameters or name in ROTATION}
     units = {name: parameter.unit for name, parameter in writable.items()}
-    units |= {f"{name}{end}": VARIABLES[name].units for end in ("_error", "") for name in variables}
+    known = VARIABLES | measured_besides(names.system)
+    units |= {f"{name}{end}": known[name].units for end in ("_error", "") for name in variables}
     table, labels, place = _read_table(place.at("data"), file.data, folder, units)
     conditions = {name: x for name, x in table.items() if name in writable}
     observed = {name: x for name, x in table.items() if name in variables}

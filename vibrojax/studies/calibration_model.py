@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from vibrojax.errors import InputError, counted
 from vibrojax.io.variables import VARIABLES
+from vibrojax.lanes.labels import measured_besides
 from vibrojax.lazy import qmc
 from vibrojax.maps.read import Point
 from vibrojax.physics.units import UNITS, likely_units
@@ -293,21 +294,21 @@ def starts(problem: Problem) -> list[tuple[Theta, int]]:
             if name == RATE and CONSTANT in problem.names:
                 lanes[name] = thetas[:, [problem.names.index(CONSTANT)]] * np.log(lanes[RELIEF])
             if name in lanes:  # lanes do not have all features of orbits
-                _check_unit(name, problem.values[:, k], lanes[name][stable])
+                about = (VARIABLES | measured_besides(problem.point.system)).get(name)
+                _check_unit(name, None if about is None else about.units, problem.values[:, k], lanes[name][stable])
                 off = np.abs(lanes[name] / problem.values[rows, k] - 1)
                 cost += np.where(stable & (off < 1), off, 1.0)
     order = np.argsort(cost.sum(axis=1), kind="stable")
     return [(thetas[k], int(rows[stable[k].argmax()])) for k in order if stable[k].any()]
 
 
-def _check_unit(name: str, observed: np.ndarray, predicted: np.ndarray) -> None:
+def _check_unit(name: str, unit: str | None, observed: np.ndarray, predicted: np.ndarray) -> None:
     """Raise `InputError` if another unit brings the observations of a variable into the range of the motions."""
     value, sizes = float(np.nanmedian(np.abs(observed))), np.abs(predicted[np.isfinite(predicted)])
-    if name not in VARIABLES or not sizes.size or sizes.min() == 0:  # a measure of one's own has any unit
+    if unit is None or not sizes.size or sizes.min() == 0:  # a measure of one's own has any unit
         return
     if sizes.min() / OTHER_UNIT <= value <= sizes.max() * OTHER_UNIT:
         return
-    unit = VARIABLES[name].units
     if likely := [*likely_units(value, unit, (sizes.min() / 2, 2 * sizes.max()))]:
         own = UNITS[unit][0]
         raise InputError(

@@ -443,6 +443,7 @@ def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object],
         where = {word: int(lane[f"{name}_{word}_sample"]) for word in _WORDS}
         factor, unit = scale(ds[f"{name}_most"])
         low, high, middle = (f"{x * factor:.4g}" for x in (*ends.values(), float(lane[name][0])))
+        middle = middle.replace("nan", "none")
         worst = "most" if name in ("peak_impact_force", "specific_energy") else "least"
         known = int(lane[name].notnull().values[drawn].sum())
         text = f"{name.replace('_', ' ')} {low} to {high} {pretty_unit(unit)}, nominal {middle}; "

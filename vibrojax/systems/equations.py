@@ -159,17 +159,20 @@ class SystemEquations(Scene[SystemConstants]):
 
     def _guard_function(self, index: int) -> Callable[[Any, Values, Values], Any]:
         def value(c: SystemConstants, mode: Values, state: Values) -> Any:
-            return self._guard_value(c, index, mode[index], self._motion(c, mode, state))
+            return self._guard_value(c, index, mode, self._motion(c, mode, state))
 
         return value
 
-    def _guard_value(self, c: SystemConstants, index: int, where: Any, motion: Motion) -> Any:
-        """Return the value of an event's or a kink's guard; `where`: its mode."""
-        surface, lift = motion.surfaces[index], c.lifts[index]
+    def _guard_value(self, c: SystemConstants, index: int, mode: Values, motion: Motion) -> Any:
+        """Return the value of an event's or a kink's guard."""
+        surface, lift, where = motion.surfaces[index], c.lifts[index], mode[index]
         if index >= len(self.events):
-            if self._flow.kinks[index - len(self.events)].whole:
-                return (0.25 + lift) - surface * surface
-            return jnp.sign(where) * surface + lift
+            kink = self._flow.kinks[index - len(self.events)]
+            value = (0.25 + lift) - surface * surface if kink.whole else jnp.sign(where) * surface + lift
+            if not kink.sided:
+                return value
+            used = jnp.where(self._flow.in_use(mode, kink), 1.0, 0.0)
+            return used * value + (1.0 - used)  # nothing happens on sides on which no function uses it
         if is_stop(self.events[index]):
             rests, lifted, side = jnp.where(where == 1, 1.0, 0.0), where == -1, jnp.ones_like(where)
         else:
@@ -203,7 +206,8 @@ class SystemEquations(Scene[SystemConstants]):
 
     def fault(self, mode: Values) -> Any:
         flow = self._flow
-        forces = [mode[len(self.events) + i] < 0 for i, kink in enumerate(flow.kinks) if kink.ends]
+        kinks = enumerate(flow.kinks, len(self.events))
+        forces = [(mode[place] < 0) & flow.in_use(mode, kink) for place, kink in kinks if kink.ends]
         slides = [(mode[i] == 0) & (mode[j] == 0) for i, j in flow.structure.mixing]
         if not forces and not slides:
             return None
@@ -298,6 +302,8 @@ class SystemEquations(Scene[SystemConstants]):
         fails = [beyond | (r < 0) | (r > 1) for _, _, beyond, r in self._stops(c.p, zero, y)]
         fails += [event.inertia(c.p) + zero <= 0 for _, event in self._flow.of(Friction) if callable(event.mass)]
         fails += [slope < 0 for _, slope in self._opposing(c.p, zero, y)]
+        for _, event in self._flow.of(Friction):
+            fails += [event.coefficient(zero, c.p) + zero < 0, event.at_rest(c.p) + zero < 0]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
     def has_no_field(self, c: SystemConstants, mode: Values, state: Values) -> Any:
@@ -345,6 +351,9 @@ class SystemEquations(Scene[SystemConstants]):
             text = f"the normal force of {event.name} is {_first(force):.6g} at the start; it must not be negative"
             mask = (force < 0) & (not event.lift_off)
             faults.append(("negative-normal-force", text, mask))
+            for at, coefficient in (("", event.coefficient(t, p) + t), ("static ", event.at_rest(p) + t)):
+                text = f"the {at}coefficient of {event.name} is {_first(coefficient):.6g}; it must not be negative"
+                faults.append(("friction-drives", text, coefficient < 0))
             mass = event.inertia(p) + t
             text = f"the mass of {event.name} is {_first(mass):.6g}; it must be above 0"
             faults.append(("mass-not-above-zero", text, mass <= 0))

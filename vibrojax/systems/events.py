@@ -165,6 +165,11 @@ class Friction:
             return self.law.on_weight(speed, {name: p[name] for name in self.law.parameters})
         return self.law(p) if callable(self.law) else self.law
 
+    def at_rest(self, p: Mapping[str, Any]) -> Any:
+        """Return the friction coefficient of a body that sticks [1]."""
+        static = self.static(p) if callable(self.static) else self.static
+        return self.coefficient(jnp.zeros(()), p) if static is None else static
+
     @cached_property
     def takes_sides(self) -> bool:
         """True if the normal force depends on the sides of switches."""
@@ -182,9 +187,7 @@ class Friction:
         `slip`: sgn u or 0; `s`: the sides of the switches by name.
         """
         load = positive_part(self.force(t, y, p, s)) * (1.0 / jnp.asarray(self.inertia(p)))
-        static = self.static(p) if callable(self.static) else self.static
-        static = self.coefficient(jnp.zeros(()), p) if static is None else static
-        return self.coefficient(slip * self.relative(t, y, p), p) * load, static * load
+        return self.coefficient(slip * self.relative(t, y, p), p) * load, self.at_rest(p) * load
 
 
 def required_arguments(function: Callable[..., Any]) -> int:

@@ -8,7 +8,7 @@ that hold at once follow from one linear system, so that constraints may influen
 
 import itertools
 import operator
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
@@ -16,12 +16,10 @@ from typing import Any, NamedTuple
 from vibrojax.lazy import jnp
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Values
+from vibrojax.systems.constraints import Constraint, Rates, solved
 from vibrojax.systems.events import Event, Friction, Impact, Switch
-from vibrojax.systems.kinks import Differences, Function, Kink
-from vibrojax.systems.numbers import array_of, slope_along, slopes_along
-
-Rates = dict[str, Any]
-"""Time derivatives of the states by name."""
+from vibrojax.systems.kinks import Function, Kink
+from vibrojax.systems.numbers import slope_along, slopes_along
 
 States = Mapping[str, Any]
 """The states by name: arrays, Taylor series, dual numbers or rounding errors."""
@@ -60,19 +58,6 @@ class Motion(NamedTuple):
     margins: tuple[Any, ...]
     pulls: tuple[Any, ...]
     surfaces: tuple[Any, ...]
-
-
-class Constraint(NamedTuple):
-    """A constraint that may hold the motion on the surface of an event.
-
-    - `held`: 1 where it holds, else 0; `along`: the direction in which it acts, by name of the states.
-    - `drift`: change of what it keeps at zero, without any multiplier; `gain`: its change per own multiplier.
-    """
-
-    held: Any
-    along: Rates
-    drift: Any
-    gain: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,42 +118,51 @@ class Flow:
         """Return the parts of the kinks that are in use, from the modes."""
         return mode[len(self.events) : len(self.events) + len(self.kinks)]
 
-    def field(self, c: SystemConstants, mode: Values, t: Any, y: States, sides: Collection[Any]) -> Rates:
+    def field(self, c: SystemConstants, mode: Values, t: Any, y: States, sides: Sequence[Any]) -> Rates:
         """Return the user's field with the switches at `sides`; a number becomes one value per lane."""
-        rates = self.function.at(self.branches(mode), t, y, c.p, *self._sided(sides))
+        rates = self.function.at(self.branches(mode), sides, t, y, c.p, *self._sided(sides))
         zero = 0.0 * next(iter(y.values()))
         return {name: zero + rates[name] if _is_array(rates[name]) else rates[name] for name in y}
 
     def sides_of(self, mode: Values) -> dict[str, Any]:
         """Return the sides of the switches by name."""
-        return self._named(self._signs(mode, Switch).values())
+        return self._named(self._all_signs(mode))
 
-    def _sided(self, sides: Collection[Any]) -> list[dict[str, Any]]:
+    def _sided(self, sides: Sequence[Any]) -> list[dict[str, Any]]:
         """Return the field's fourth argument, if it takes one."""
         return [self._named(sides)] if self.takes_sides else []
 
-    def _named(self, sides: Collection[Any]) -> dict[str, Any]:
+    def _named(self, sides: Sequence[Any]) -> dict[str, Any]:
         return {event.name: side for (_, event), side in zip(self.of(Switch), sides, strict=True)}
 
     def kink_values(self, c: SystemConstants, mode: Values, t: Any, y: States) -> list[Any]:
         """Return the functions whose zeros are the kinks, in their order."""
-        sides = self._signs(mode, Switch).values()
-        calls: list[tuple[Function, list[Any]]] = [(self.function, self._sided(sides))]
-        calls += [(function, []) for function in self.surfaces]
-        calls += [(limit, [self._named(sides), jnp.sign(mode[index])]) for index, limit in self.limits.items()]
-        values: Differences = {}
-        for function, more in calls:
-            if function.kinks:
-                values |= function.run(self.branches(mode), t, y, c.p, *more)[1]
+        zero, values = 0.0 * next(iter(y.values())), dict[int, Any]()
+        for sides in self.combinations():
+            calls: list[tuple[Function, list[Any]]] = [(self.function, self._sided(sides))]
+            calls += [(function, []) for function in self.surfaces]
+            calls += [(limit, [self._named(sides), jnp.sign(mode[index])]) for index, limit in self.limits.items()]
+            for function, more in calls:
+                own = {number: kinks[sides] for number, kinks in function.kinks.items()}
+                if not set(own.values()) <= set(values):
+                    _, found = function.run(self.branches(mode), sides, t, y, c.p, *more)
+                    # A force may depend on sides and parameters alone.
+                    values |= {own[number]: zero + x if _is_array(x) else x for number, x in found.items()}
         return [values[index] for index in range(len(self.kinks))]
+
+    def in_use(self, mode: Values, kink: Kink) -> Any:
+        """Return a mask of lanes in which functions use a kink; a motion on a surface is on both sides."""
+        signs = list(self._signs(mode, Switch).values())
+        corners = [[own * side >= 0 for own, side in zip(signs, sides, strict=True)] for sides in kink.sides]
+        return reduce(operator.or_, [reduce(operator.and_, here, mode[0] == mode[0]) for here in corners])
 
     def surface(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States) -> Any:
         """Return the value of an event's function."""
-        return self.surfaces[index].at(self.branches(mode), t, y, c.p)
+        return self.surfaces[index].at(self.branches(mode), self._all_signs(mode), t, y, c.p)
 
     def plain(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Rates:
         """Return the field without events, from which rates of gaps follow."""
-        return self.field(c, mode, t, y, self._signs(mode, Switch).values())
+        return self.field(c, mode, t, y, self._all_signs(mode))
 
     def slope(
         self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, rates: Rates, t_rate: float = 1.0
@@ -205,14 +199,16 @@ class Flow:
 
     def at(self, c: SystemConstants, mode: Values, t: Any, y: States) -> Motion:
         """Return the motion in a mode, at a state or at the series of a step."""
-        corners = {sides: self.field(c, mode, t, y, sides) for sides in self.combinations()}
+        corners = {sides: self._corner(c, mode, t, y, sides) for sides in self.combinations()}
         signs = self._signs(mode, Switch) | self._signs(mode, Friction)
         rates, holds = self._mixed(c, mode, t, y, corners, {})
         constraints: dict[int, Constraint] = {}
+        sided: dict[int, dict[int, Any]] = {}
         for index, event in (*self.of(Switch), *self.of(Friction), *self.of(Impact)):
             if isinstance(event, Switch):
-                low, high = (self._mixed(c, mode, t, y, corners, {index: other})[0] for other in (-1.0, 1.0))
+                (low, least), (high, most) = (self._mixed(c, mode, t, y, corners, {index: x}) for x in (-1.0, 1.0))
                 along = {name: 0.5 * (high[name] - low[name]) for name in rates}
+                sided[index] = {i: 0.5 * (most[i] - least[i]) for i, e in self.of(Friction) if e.takes_sides}
             else:
                 along = {event.acts_on: 1.0}
             if None not in along:  # a reset cannot hold the motion
@@ -229,6 +225,8 @@ class Flow:
         for index, own in constraints.items():
             for name, direction in own.along.items():
                 rates[name] = rates[name] + multipliers[index] * direction
+            for friction, change in sided.get(index, {}).items():
+                holds[friction] = holds[friction] + multipliers[index] * change
         margins, pulls = [], []
         for index, event in enumerate(self.events):
             zero = 0.0 * next(iter(rates.values()))
@@ -255,23 +253,43 @@ class Flow:
         """Return the signs of the modes of events of a kind: 0 on the surface."""
         return {index: jnp.sign(mode[index]) for index, _ in self.of(kind)}
 
+    def _all_signs(self, mode: Values) -> list[Any]:
+        """Return the sides of all switches, 0 on the surface."""
+        return list(self._signs(mode, Switch).values())
+
+    def _limit(self, c: SystemConstants, mode: Values, index: int, t: Any, y: States, sides: Sequence[Any]) -> Any:
+        """Return the deceleration of a sliding body by a friction, and the one that a sticking body can bear."""
+        slip, named = jnp.sign(mode[index]), self._named(sides)
+        return self.limits[index].at(self.branches(mode), sides, t, y, c.p, named, slip)
+
+    def _corner(self, c: SystemConstants, mode: Values, t: Any, y: States, sides: Sequence[Any]) -> dict[Any, Any]:
+        """Return the field at sides of the switches by name, and the decelerations that sticking bodies bear by index.
+
+        Only frictions whose normal forces depend on sides are part of them.
+        """
+        rates: dict[Any, Any] = dict(self.field(c, mode, t, y, sides))
+        for index, event in self.of(Friction):
+            if event.takes_sides:
+                drag, rates[index] = self._limit(c, mode, index, t, y, sides)
+                rates[event.acts_on] = rates[event.acts_on] - jnp.sign(mode[index]) * drag
+        return rates
+
     def _mixed(
         self,
         c: SystemConstants,
         mode: Values,
         t: Any,
         y: States,
-        corners: Mapping[tuple[float, ...], Rates],
+        corners: Mapping[tuple[float, ...], dict[Any, Any]],
         fixed: Mapping[int, float],
     ) -> tuple[Rates, dict[int, Any]]:
         """Return the field with the frictions of sliding bodies, and the decelerations that bodies that stick can bear.
 
-        The sides of switches are `fixed`, or those of the mode: on a surface 0, the mean of both fields. `corners`: the
-        field at all combinations of sides.
+        The sides of switches are `fixed`, or those of the mode: on a surface, the mean of both sides counts. `corners`:
+        field and decelerations at all combinations of sides.
         """
         switches, own = self.of(Switch), self._signs(mode, Switch)
-        present = {event.name: fixed.get(index, own[index]) for index, event in switches}
-        total: Rates = {}
+        total: dict[Any, Any] = {}
         for sides, rates in corners.items():
             shares = [
                 (1.0 + side * own[index]) * 0.5 if index not in fixed else float(fixed[index] == side)
@@ -284,9 +302,11 @@ class Flow:
                 total = {name: total[name] + part[name] for name in part} if total else dict(part)
         holds = {}
         for index, event in self.of(Friction):
-            slip = jnp.sign(mode[index])
-            drag, holds[index] = self.limits[index].at(self.branches(mode), t, y, c.p, present, slip)
-            total[event.acts_on] = total[event.acts_on] - slip * drag
+            if event.takes_sides:
+                holds[index] = total.pop(index)
+            else:
+                drag, holds[index] = self._limit(c, mode, index, t, y, self._all_signs(mode))
+                total[event.acts_on] = total[event.acts_on] - jnp.sign(mode[index]) * drag
         return total, holds
 
     def _effect(
@@ -316,12 +336,11 @@ class Flow:
         # On a surface, the sides are both.
         for other in (-1.0, 1.0) if switches else (1.0,):
             sides = [jnp.where(mode[index] == 0, other, jnp.sign(mode[index])) for index, _ in switches]
-            present = self._named(sides)
 
-            def field(t: Any, y: States, sides: Any = sides, present: Any = present) -> Rates:
+            def field(t: Any, y: States, sides: Any = sides) -> Rates:
                 rates = self.field(c, mode, t, y, sides)
                 for index, event in self.of(Friction):
-                    drag, _ = self.limits[index].at(self.branches(mode), t, y, c.p, present, slips[index])
+                    drag, _ = self._limit(c, mode, index, t, y, sides)
                     rates[event.acts_on] = rates[event.acts_on] - slips[index] * drag
                 return rates
 
@@ -360,62 +379,6 @@ def onto_zero(value: Any, slopes: Mapping[str, Any], weights: Mapping[str, Any],
     total = sum(weights[key] * slope for key, slope in slopes.items())
     share = jnp.where(total == 0, 0.0, value / jnp.where(total == 0, 1.0, total))
     return {key: y[key] - weight * share for key, weight in weights.items()}
-
-
-def solved(
-    constraints: Mapping[int, Constraint], coupled: frozenset[tuple[int, int]], effect: Callable[[int, int], Any]
-) -> tuple[dict[int, Any], dict[int, Any]]:
-    """Return the multipliers of constraints, zero where they do not hold, and their drifts due to all others.
-
-    **Arguments:** `coupled`: pairs of constraints of which the second changes what the first keeps at zero;
-    `effect(first, second)`: that change per multiplier.
-    """
-    multipliers: dict[int, Any] = {}
-    drifts = {index: own.drift for index, own in constraints.items()}
-    groups = _groups(constraints, coupled)
-    for group in groups:
-        effects = {(i, j): effect(i, j) for i in group for j in group if i != j and (i, j) in coupled}
-        rows = {
-            i: {j: constraints[i].held * constraints[j].held * effects[i, j] for j in group if (i, j) in effects}
-            for i in group
-        }
-        for i in group:
-            rows[i][i] = constraints[i].gain
-        right = {i: -constraints[i].held * constraints[i].drift for i in group}
-        for place, k in enumerate(group):  # Gauss
-            rows[k][k] = _unless_zero(rows[k][k], constraints[k].held)
-            for i in group[place + 1 :]:
-                if k in rows[i]:
-                    factor = rows[i].pop(k) / rows[k][k]
-                    right[i] = right[i] - factor * right[k]
-                    for j, x in rows[k].items():
-                        if j != k:
-                            rows[i][j] = rows[i][j] - factor * x if j in rows[i] else -factor * x
-        for k in reversed(group):
-            rest = right[k]
-            for j, x in rows[k].items():
-                if j != k:
-                    rest = rest - x * multipliers[j]
-            multipliers[k] = rest / rows[k][k]
-        for (i, j), x in effects.items():
-            drifts[i] = drifts[i] + x * multipliers[j]
-    return multipliers, drifts
-
-
-def _groups(constraints: Mapping[int, Constraint], coupled: frozenset[tuple[int, int]]) -> list[list[int]]:
-    """Return the constraints in groups, such that those of different groups are not coupled."""
-    groups: list[list[int]] = []
-    for index in constraints:
-        joined = [group for group in groups if any((i, index) in coupled or (index, i) in coupled for i in group)]
-        groups = [group for group in groups if group not in joined]
-        groups.append([*itertools.chain(*joined), index])
-    return groups
-
-
-def _unless_zero(gain: Any, held: Any) -> Any:
-    """Return a divisor that is 1 at the start of the step where the gain is zero or the constraint does not hold."""
-    value = array_of(gain)
-    return gain + jnp.where((held == 0) | (value == 0), 1.0 - value, 0.0)
 
 
 def _is_array(x: Any) -> bool:

@@ -4,8 +4,10 @@ A Taylor series describes one formula only. So the formula in use is part of the
 event, and the other formula is used after it. The kinks of a function are numbered in the order of its calls.
 """
 
-from collections.abc import Callable, Mapping
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +29,8 @@ class Kink(NamedTuple):
     - `name`: its name among the guards; `place`: the function, in words.
     - `whole`: True for `floor`, whose mode is its value; the mode of other kinks is the sign of their difference.
     - `ends`: True for the normal force of a friction that must not be negative: the kink ends the motion.
-    - `sided`: True if its difference depends on the sides of switches.
+    - `sided`: True if its difference depends on the sides of switches or on the direction of slip.
+    - `sides`: the combinations of the sides of switches on which functions use it.
     """
 
     name: str
@@ -35,6 +38,7 @@ class Kink(NamedTuple):
     whole: bool
     ends: bool
     sided: bool
+    sides: tuple[tuple[float, ...], ...]
 
 
 class Calls(elementary.Branches):
@@ -86,40 +90,71 @@ def positive_part(x: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """A function of time, states and more, with its kinks; `kinks`: their indices in the system by number of call."""
+    """A function of time, states and more, with its kinks.
+
+    `kinks`: their indices in the system by number of call, one for each combination of the sides of switches: where
+    sides change the difference of a kink, each combination has its own formula.
+    """
 
     function: Callable[..., Any]
-    kinks: Mapping[int, int]
+    kinks: Mapping[int, Mapping[tuple[float, ...], int]]
 
-    def at(self, branches: Values, t: Any, y: Mapping[str, Any], *more: Any) -> Any:
-        """Return the value in the formulas of `branches`, the modes of the system's kinks."""
-        return self.run(branches, t, y, *more)[0]
+    def at(self, branches: Values, sides: Sequence[Any], t: Any, y: Mapping[str, Any], *more: Any) -> Any:
+        """Return the value in the formulas of `branches`, the modes of the system's kinks, with switches at `sides`."""
+        return self.run(branches, sides, t, y, *more)[0]
 
-    def run(self, branches: Values, t: Any, y: Mapping[str, Any], *more: Any) -> tuple[Any, Differences]:
-        """Return the value, and the differences of the kinks."""
+    def run(
+        self, branches: Values, sides: Sequence[Any], t: Any, y: Mapping[str, Any], *more: Any
+    ) -> tuple[Any, Differences]:
+        """Return the value, and the differences of the kinks by number of call."""
         if not self.kinks:
             return self.function(t, y, *more), {}
         plain = not any(hasattr(x, "value") and not isinstance(x, Array) for x in (t, *y.values()))
         if plain:  # arrays know nothing of kinks in abs(x)
             t, y = Dual(t, 0.0, 1), {name: Dual(x, 0.0, 1) for name, x in y.items()}
-        calls = Calls({number: branches[index] for number, index in self.kinks.items()})
+        calls = Calls({number: _chosen(branches, sides, own) for number, own in self.kinks.items()})
         value = calls.during(self.function, t, y, *more)
-        differences = {index: calls.differences[number] for number, index in self.kinks.items()}
+        differences = {number: calls.differences[number] for number in self.kinks}
         return (_plain(value), _plain(differences)) if plain else (value, differences)
 
-    def found(self, t: Any, y: Mapping[str, Any], *more: Any) -> dict[int, tuple[str, Any]]:
-        """Return kind and value of the kinks that depend on time or states, by number of call.
+    def found(self, t: Any, y: Mapping[str, Any], *more: Any) -> list[tuple[str, Any, bool]]:
+        """Return kind and values of each kink in the order of calls, and whether it depends on time or states.
 
-        `t`, `y`: dual numbers whose slopes are not zero.
+        `t`, `y`: dual numbers whose slopes are not zero. The values are those for different formulas of the other
+        kinks, because a kink may depend on a state in one of these formulas only.
         """
-        calls = Calls({})
-        calls.during(self.function, t, y, *more)
-        pairs = enumerate(zip(calls.kinds, calls.differences, strict=True))
-        return {
-            number: (kind, array_of(x))
-            for number, (kind, x) in pairs
-            if isinstance(x, Dual) and bool(np.any(np.asarray(array_of(x.slope)) != 0))
-        }
+        tries = [Calls({}), *(_Tried(first) for first in ([True], [False], [True, False], [False, True]))]
+        for calls in tries:
+            calls.during(self.function, t, y, *more)
+        found = []
+        for kind, *values in zip(tries[0].kinds, *(calls.differences for calls in tries), strict=True):
+            slopes = [array_of(x.slope) for x in values if isinstance(x, Dual)]
+            depends = any(bool(np.any(np.asarray(slope) != 0)) for slope in slopes)
+            found.append((kind, np.array([np.asarray(array_of(x)) + 0.0 * t.value for x in values]), depends))
+        return found
+
+
+class _Tried(Calls):
+    """The kinks of one call, whose formulas are the first ones or not in the order of `first`, whatever the values."""
+
+    def __init__(self, first: Sequence[bool]):
+        super().__init__({})
+        self.first = first
+
+    def _next(self, kind: str, difference: Any) -> Any:
+        super()._next(kind, difference)
+        return jnp.asarray(1.0 if self.first[len(self.differences) % len(self.first)] else -1.0)
+
+
+def _chosen(branches: Values, sides: Sequence[Any], own: Mapping[tuple[float, ...], int]) -> Any:
+    """Return the mode of a kink, whose index for each combination of sides is `own`, with switches at `sides`."""
+    (_, first), *others = own.items()
+    chosen = branches[first]
+    for corner, index in others:
+        if index != first:
+            here = [side == own for side, own in zip(sides, corner, strict=True)]
+            chosen = jnp.where(reduce(operator.and_, here), branches[index], chosen)
+    return chosen
 
 
 def _plain(value: Any) -> Any:

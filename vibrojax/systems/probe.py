@@ -1,7 +1,9 @@
 """Checks of the functions of a system at random states."""
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,6 +30,15 @@ RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmo
 """Regimes that may have names of the system's own."""
 
 _UNIT_EXAMPLES = "give one such as 'm s-1', 'rad', 'deg', 'N m', or '1'"
+
+SHARES = np.random.default_rng(3).uniform(0.0, 1.0, (20, LANES))
+"""Times at which functions are compared with other times: some fall into pulses that last a tenth of a period."""
+
+MOST_HELD = 16
+"""Greatest number of combinations of discrete states with which functions are tried."""
+
+Corner = tuple[float, ...]
+"""A combination of the sides of the switches, each 1 or -1."""
 
 EQUAL = 1e-9
 """Relative difference up to which two probed values are equal."""
@@ -162,6 +173,41 @@ class Probe:
                 if not callable(function):
                     raise self._refuse(f"{what} is {shown(function)}; write a function: lambda t, y, p: {function}")
 
+    # Where the functions are tried
+
+    @cached_property
+    def everywhere(self) -> dict[Corner, list[dict[str, Any]]]:
+        """For each combination of the sides of the switches, the sides and the discrete states that resets give."""
+        held = [{key: float(x) for key, x in self._discrete.items()}]
+        names = [event.name for event in self._events if isinstance(event, Switch)]
+        corners = [*itertools.product((-1.0, 1.0), repeat=len(names))]
+        for before in held:
+            for event in self._events if self._discrete else ():
+                for corner in corners if isinstance(event, Impact) and event.reset is not None else ():
+                    jump = self._at(dict(zip(names, corner, strict=True)) | before, self._jump, event, self._t)
+                    new = before | {key: jump[key] for key in self._discrete if key in jump}
+                    known = any(all(bool(equal(new[key], old[key])) for key in new) for old in held)
+                    held += [] if known or len(held) == MOST_HELD else [new]
+        return {corner: [dict(zip(names, corner, strict=True)) | x for x in held] for corner in corners}
+
+    def _at(self, sides: dict[str, Any], function: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the value of a function with switches and discrete states at `sides`."""
+        before, self._sides = self._sides, sides
+        try:
+            return function(*arguments)
+        finally:
+            self._sides = before
+
+    def _in_all(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
+        """Return the values of a function on all sides of the switches and in all discrete states."""
+        return [self._at(sides, function, *arguments) for known in self.everywhere.values() for sides in known]
+
+    def _jump(self, event: Any, t: Any) -> Mapping[str, Any]:
+        """Return the new values that a reset gives."""
+        sided = [self._sides] if required_arguments(event.reset) == 4 else []
+        new: Mapping[str, Any] = self._call(f"event {event.name}: reset", event.reset, t, self._y, self._p, *sided)
+        return new
+
     # What the functions give
 
     def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -217,25 +263,39 @@ class Probe:
             if isinstance(event, Friction):
                 what = f"event {event.name}: normal"
                 self._number(what, self._call(what, event.force, self._t, self._y, self._p, self._sides))
+                for part, function in (("law", event.law), ("static", event.static)):
+                    what = f"event {event.name}: {part}"
+                    if callable(function) and not isinstance(function, FrictionLaw):
+                        self._number(what, self._call(what, function, self._p))
+                    elif part == "static" and function is not None:
+                        self._number(what, function)
                 what = f"event {event.name}: mass"
                 mass = self._number(what, self._call(what, event.inertia, self._p))
                 if not bool((mass > 0).all()):
                     raise self._refuse(f"{what} is {float(mass[0]):g}; it must be above zero")
             if isinstance(event, Impact) and event.reset is not None:
-                what = f"event {event.name}: reset"
-                sided = [self._sides] if required_arguments(event.reset) == 4 else []
-                new = self._call(what, event.reset, self._t, self._y, self._p, *sided)
+                what, new = f"event {event.name}: reset", self._jump(event, self._t)
                 if not isinstance(new, Mapping) or not set(new) <= {*self._states, *self._discrete}:
                     kind = "an array" if hasattr(new, "shape") else type(new).__name__
                     given = f"values of {', '.join(map(str, new))}" if isinstance(new, Mapping) else kind
                     known = ", ".join([*self._states, *self._discrete])
                     raise self._refuse(f"{what} gave {given}; it must give a dict of new values of the states {known}")
+                for key, value in new.items():
+                    self._number(f"{what}, {key},", value)
             elif isinstance(event, Impact):
                 what = f"event {event.name}: restitution"
                 r = self._number(what, self._call(what, event.bounce, self._p))
                 if not bool(((r >= 0) & (r <= 1)).all()):
                     raise self._refuse(f"{what} is {float(r[0]):g}; it must lie between 0 and 1")
         self._check_series()
+
+    def check_rate(self, rate: Any) -> None:
+        """Refuse a function of the fastest rate of change that does not give a rate above zero."""
+        if not callable(rate):
+            raise self._refuse(f"rate is {shown(rate)}; write a function: lambda p: {rate}")
+        value = self._number("rate", self._call("rate", rate, self._p))
+        if not bool((value > 0).all()):
+            raise self._refuse(f"rate is {float(value[0]):g}; it must be above zero")
 
     def _check_effect(self, event: Event) -> None:
         """Refuse an event whose function does not depend on what the event changes, or a friction that drives."""
@@ -292,22 +352,31 @@ class Probe:
                     f"states are {known}"
                 )
         if section is not None:
-            if not self._same(self._t, self._t + 0.37):
-                raise self._refuse("field depends on t; give period= (of the forcing) instead of section=")
+            if self.depends_on_time():
+                raise self._refuse("it depends on t; give period= (of the forcing) instead of section=")
             return
         T = self._number("period", period(self._p) if callable(period) else period)
-        for share in (0.13, 0.41):
-            if not self._same(share * T, (share + 1) * T) or not self._same(share * T, (share - 1) * T):
-                raise self._refuse("field does not repeat after the period; check period=")
+        if not all(self._same(Plain.of(share) * T, Plain.of(share - 1.0) * T) for share in SHARES):
+            raise self._refuse("it does not repeat after the period; check period=")
+
+    def depends_on_time(self) -> bool:
+        """Return whether the field or an event depends on the time."""
+        return not all(self._same(self._t, Plain.of(1e6**share)) for share in SHARES)
 
     def _same(self, first: Any, second: Any) -> bool:
-        """Return whether the field and the events are the same at two times."""
-        functions = [event.surface for event in self._events]
+        """Return whether the field and the events are the same at two times, on all sides."""
 
         def values(t: Any) -> list[Any]:
-            return [*self.rates(t, self._y).values(), *(f(t, self._y, self._p) + 0.0 * t for f in functions)]
+            values = [*self.rates(t, self._y).values(), *(event.surface(t, self._y, self._p) for event in self._events)]
+            for event in self._events:
+                if isinstance(event, Friction):
+                    values.append(event.force(t, self._y, self._p, self._sides))
+                elif isinstance(event, Impact) and event.reset is not None:
+                    values += self._jump(event, t).values()
+            return values
 
-        return all(bool(equal(a, b)) for a, b in zip(values(first), values(second), strict=True))
+        pairs = zip(self._in_all(values, first), self._in_all(values, second), strict=True)
+        return all(bool(equal(a, b)) for pair in pairs for a, b in zip(*pair, strict=True))
 
     def velocities(self) -> dict[str, str]:
         """Return the velocity of each state whose rate of change is a state itself, by name."""

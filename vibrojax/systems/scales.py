@@ -140,7 +140,7 @@ class SystemScales(SystemEquations):
             sizes[names.index(TIME)] = jnp.zeros_like(state[0]) + c.period
         again = self._motion(c, mode, rounded(sizes))
         motion = motion._replace(surfaces=again.surfaces)
-        guards = [_size(self._guard_value(c, index, mode[index], motion)) for index in range(len(motion.surfaces))]
+        guards = [_size(self._guard_value(c, index, mode, motion)) for index in range(len(motion.surfaces))]
         changes = [_size(again.rates[name]) / speed for name in self._own]
         bounds = sizes, guards + ([] if self._period is None else [jnp.zeros_like(state[0]) + c.period]), changes
         _ROUNDINGS[self] = arguments, bounds

@@ -13,7 +13,7 @@ from vibrojax.systems.events import Event, Friction, Impact, Switch, required_ar
 from vibrojax.systems.flow import Dependences
 from vibrojax.systems.kinks import Function, Kink
 from vibrojax.systems.numbers import Dual, Plain, array_of, slope_along
-from vibrojax.systems.probe import EQUAL, Probe, equal
+from vibrojax.systems.probe import EQUAL, LANES, Corner, Probe, equal
 
 MOVED = 0.1
 """Change of a state that shows whether a function depends on it; random states are of order one."""
@@ -29,14 +29,18 @@ class Structure(Probe):
     def __init__(self, *declaration: Any) -> None:
         super().__init__(*declaration)
         self.kinks: list[Kink] = []
-        sided = [self._sides] if self.takes_sides else []
+        events = self._events
         field, still = self._with_discrete(self._field, self.takes_sides), dict.fromkeys(self._discrete, 0.0)
-        self.function = self._with_kinks("field", lambda *arguments: {**field(*arguments), **still}, sided)
-        self.surface_functions = tuple(self._with_kinks(*self._surface(event), []) for event in self._events)
-        ones = Plain.of(np.ones(len(self._t)))
+        self.function = self._with_kinks(
+            "field", lambda *arguments: {**field(*arguments), **still}, lambda sides: [[sides] * self.takes_sides]
+        )
+        self.surface_functions = tuple(self._with_kinks(*self._surface(event), lambda sides: [[]]) for event in events)
+        slips = [Plain.of(np.full(LANES, slip)) for slip in (1.0, -1.0)]
         self.limits = {
-            index: self._with_kinks(f"event {event.name}: normal", self._limits_of(event), [self._sides, ones])
-            for index, event in enumerate(self._events)
+            index: self._with_kinks(
+                f"event {event.name}: normal", self._limits_of(event), lambda sides: [[sides, x] for x in slips], event
+            )
+            for index, event in enumerate(events)
             if isinstance(event, Friction)
         }
         self.resets = {
@@ -61,29 +65,42 @@ class Structure(Probe):
         """Return the function of a friction's limits, with the arguments in the order of `Function.run`."""
         return lambda t, y, p, sides, slip: event.limits(t, y, p, self._all_sides(sides, y), slip)
 
-    def _with_kinks(self, place: str, function: Callable[..., Any], more: list[Any]) -> Function:
-        rng = np.random.default_rng(11)
-        t = Dual(self._t, Plain.of(rng.uniform(0.5, 1.5, len(self._t))), 1)
-        y = {key: Dual(x, Plain.of(rng.uniform(0.5, 1.5, len(x))), 1) for key, x in self._y.items()}
-        plain, numbers = Function(function, {}), {}
-        kinks = plain.found(t, y, self._p, *more)
-        others = [self._sides | {name: -side} for name, side in self._sides.items()] if kinks and more else []
-        turned = [plain.found(t, y, self._p, sides, *more[1:]) for sides in others]
-        for number, (kind, _) in kinks.items():
-            if kind == "floor" and not self._same_floor(plain, number, t, y, more):
-                raise self._refuse(f"{place} takes the floor of a value that depends on states; write a vj.Impact")
-            friction = next((event for event in self._events if place == f"event {event.name}: normal"), None)
-            ends = kind == "positive" and isinstance(friction, Friction) and not friction.lift_off
-            numbers[number] = len(self.kinks)
-            sided = any(not equal(kinks[number][1], other[number][1]) for other in turned if number in other)
-            self.kinks.append(Kink(f"kink_{len(self.kinks) + 1}", place, kind == "floor", ends, sided))
-        return Function(function, numbers)
-
-    def _same_floor(self, function: Function, number: int, t: Dual, y: Mapping[str, Any], more: list[Any]) -> bool:
-        """Return whether the argument of a `floor` depends on the time alone."""
+    def _with_kinks(
+        self, place: str, function: Callable[..., Any], more: Callable[..., list[Any]], friction: Friction | None = None
+    ) -> Function:
+        """Return a function with its kinks; `more(sides)`: its further arguments, in each way to call it."""
+        rng, plain = np.random.default_rng(11), Function(function, {})
+        t = Dual(self._t, Plain.of(rng.uniform(0.5, 1.5, LANES)), 1)
+        y = {key: Dual(x, Plain.of(rng.uniform(0.5, 1.5, LANES)), 1) for key, x in self._y.items()}
         moved = {key: Dual(x.value + MOVED, x.slope, 1) for key, x in y.items()}
-        values = [function.found(t, states, self._p, *more)[number][1] for states in (y, moved)]
-        return equal(*values)
+        found = {
+            corner: [plain.found(t, y, self._p, *args) for sides in known for args in more(sides)]
+            for corner, known in self.everywhere.items()
+        }
+        must_push, numbers = friction is not None and not friction.lift_off, dict[int, dict[Corner, int]]()
+        for number, (kind, _, _) in enumerate(next(iter(found.values()))[0]):
+            ends, whole = kind == "positive" and must_push, kind == "floor"
+            # A force that depends on sides and parameters alone may be negative on one of the sides.
+            if not (ends and friction is not None and friction.takes_sides) and not any(
+                way[number][2] for ways in found.values() for way in ways
+            ):
+                continue
+            groups: list[tuple[Any, list[Corner]]] = []
+            for corner, ways in found.items():
+                values = np.array([way[number][1] for way in ways])
+                calls = (args for sides in self.everywhere[corner] for args in more(sides))
+                if whole and not equal(values, [plain.found(t, moved, self._p, *x)[number][1] for x in calls]):
+                    raise self._refuse(f"{place} takes the floor of a value that depends on states; write a vj.Impact")
+                own = next((corners for same, corners in groups if equal(same, values)), None)
+                if own is None:
+                    groups.append((values, own := []))
+                own.append(corner)
+            for values, corners in groups:
+                by_slip = values.reshape(len(self.everywhere[corners[0]]), -1, *values.shape[1:])
+                sided = len(groups) > 1 or not equal(by_slip, by_slip[:, :1])
+                numbers.setdefault(number, {}).update(dict.fromkeys(corners, len(self.kinks)))
+                self.kinks.append(Kink(f"kink_{len(self.kinks) + 1}", place, whole, ends, sided, tuple(corners)))
+        return Function(function, numbers)
 
     def events_at(self, section: Callable[..., Any]) -> dict[int, float]:
         """Return the switches and frictions whose surface is a section, by index, with the sign of their functions.
@@ -96,10 +113,6 @@ class Structure(Probe):
                 kinks[index] = float(np.sign(np.ravel(value / above)[0]))
         return kinks
 
-    def depends_on_time(self) -> bool:
-        """Return whether the field or an event depends on the time."""
-        return not self._same(self._t, self._t + 0.37)
-
     def _value(self, event: Event) -> Any:
         return event.surface(self._t, self._y, self._p)
 
@@ -110,10 +123,12 @@ class Structure(Probe):
 
     def dependences(self) -> Dependences:
         """Return how the functions depend on one another; refuse events that share a surface."""
-        speeds, events = self.velocities(), dict(enumerate(self._events))
-        depends = {i: self._depends(partial(self._kept, event)) for i, event in events.items()}
+        events = dict(enumerate(self._events))
+        first, *others = self._in_all(self.velocities)
+        speeds = {key: speed for key, speed in first.items() if all(other.get(key) == speed for other in others)}
+        depends = {i: set().union(*self._in_all(self._depends, partial(self._kept, e))) for i, e in events.items()}
         self._check_surfaces()
-        moves = {i: self._moves(event) for i, event in events.items()}
+        moves = {i: set().union(*self._in_all(self._moves, event)) for i, event in events.items()}
         held = [i for i, event in events.items() if not isinstance(event, Impact) or event.velocity is not None]
         floors = any(kink.whole for kink in self.kinks)
         return Dependences(
@@ -131,8 +146,8 @@ class Structure(Probe):
                 for i, event in events.items()
                 if floors or any(depends[i] & self._jumped(other) for other in events.values() if other is not event)
             ),
-            mixing=self._mixing(),
-            linear=self._linear(),
+            mixing=tuple(sorted(set().union(*self._in_all(self._mixing)))),
+            linear=all(self._in_all(self._linear)),
         )
 
     def _depends(self, function: Callable[[Mapping[str, Any]], Any]) -> set[str]:
@@ -176,34 +191,37 @@ class Structure(Probe):
         if event.velocity is not None:
             return {event.velocity}
         assert event.reset is not None
-        sided = [self._sides] if required_arguments(event.reset) == 4 else []
-        return set(event.reset(self._t, self._y, self._p, *sided))
+        return set(self._jump(event, self._t))
 
-    def _rates_at(self, sides: Mapping[str, float], y: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return the field with some switches at `sides` and the others on the positive side."""
-        before, self._sides = self._sides, self._sides | dict(sides)
-        try:
-            return self.rates(self._t, self._y if y is None else y)
-        finally:
-            self._sides = before
+    def _rates_at(self, sides: Mapping[str, float]) -> dict[str, Any]:
+        """Return the field with some switches at `sides`."""
+        return self._at(self._sides | dict(sides), self.rates, self._t, self._y)
 
-    def _mixing(self) -> tuple[tuple[int, int], ...]:
+    def _forced(self, sides: Mapping[str, float]) -> dict[str, Any]:
+        """Return the field with some switches at `sides`, and the frictions whose normal forces depend on sides."""
+        rubs = [event for event in self._events if isinstance(event, Friction) and event.takes_sides]
+        forces = {
+            event.name: event.limits(self._t, self._y, self._p, self._sides | dict(sides), 1.0)[0] for event in rubs
+        }
+        return self._rates_at(sides) | forces
+
+    def _mixing(self) -> set[tuple[int, int]]:
         """Return the pairs of switches, by index, whose sides do not act on the field independently."""
         switches = [(i, event.name) for i, event in enumerate(self._events) if isinstance(event, Switch)]
-        pairs = []
+        pairs = set()
         for (i, first), (j, second) in itertools.combinations(switches, 2):
-            corners = {(a, b): self._rates_at({first: a, second: b}) for a in (1.0, -1.0) for b in (1.0, -1.0)}
+            corners = {(a, b): self._forced({first: a, second: b}) for a in (1.0, -1.0) for b in (1.0, -1.0)}
             if not all(
                 equal(
                     corners[1.0, 1.0][key] + corners[-1.0, -1.0][key], corners[1.0, -1.0][key] + corners[-1.0, 1.0][key]
                 )
-                for key in self._y
+                for key in corners[1.0, 1.0]
             ):
-                pairs.append((i, j))
-        return tuple(pairs)
+                pairs.add((i, j))
+        return pairs
 
     def _linear(self) -> bool:
-        """Return whether the field is linear in the states on each side and friction coefficients are constant."""
+        """Return whether the field is linear in the states and friction coefficients are constant."""
         for event in self._events:
             if isinstance(event, Friction):
                 for speed in (0.0, 0.3):  # a steep law is flat at most speeds
@@ -212,12 +230,8 @@ class Structure(Probe):
                         return False
         moved = {key: x + MOVED * (2 + k) for k, (key, x) in enumerate(self._y.items())}
         middle = {key: 0.5 * (x + moved[key]) for key, x in self._y.items()}
-        names = list(self._sides)
-        for side in (1.0, -1.0) if names else (1.0,):
-            first, second, half = (self._rates_at(dict.fromkeys(names, side), y) for y in (self._y, moved, middle))
-            if not all(equal(0.5 * (first[key] + second[key]), half[key]) for key in self._y):
-                return False
-        return True
+        first, second, half = (self.rates(self._t, y) for y in (self._y, moved, middle))
+        return all(equal(0.5 * (first[key] + second[key]), half[key]) for key in self._y)
 
     def _check_surfaces(self) -> None:
         """Refuse two switches or frictions with one surface: neither decides alone on which side the motion is."""

@@ -105,6 +105,8 @@ class System(SystemScales):
     ) -> None:
         with jax.enable_x64(True):
             probe = Structure(name, states, parameters, field, period, section, events, regimes, modes)
+            if rate is not None:
+                probe.check_rate(rate)
             self.name = name  # type: ignore[misc]
             self.events, self._period, self._own = tuple(events), period, tuple(states)
             self._discrete = {name: float(value) for name, value in (modes or {}).items()}

@@ -214,7 +214,7 @@ def after_events(
         return After(tuple(new), y, approach)
     modes, opened = _modes_after(flow, c, mode, new, t, before, y, hit, jumped, slow)
     sided = [index for index, kink in enumerate(flow.kinks, len(flow.events)) if kink.sided]
-    if sided:  # the event may have changed the side of a switch
+    if sided:  # the event may have changed the side of a switch, or the direction of slip
         turned = reduce(jnp.logical_or, [hit[index] for index, _ in flow.of(Switch)], jumped)
         chosen = first_branches(flow, c, modes, t, y)
         for place in sided:
