@@ -1,6 +1,7 @@
 """Test systems written as plain functions against closed forms, and one-line errors for mistakes in them."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -166,6 +167,19 @@ def test_friction_that_drives_for_some_parameters_fails_with_reason():
     assert names_of(ds, "reason") == ["none", *["friction-drives"] * 2] and names_of(ds)[1:] == ["failed"] * 2
     with pytest.raises(vj.InputError, match=r"relative of base falls where v rises, so that friction would drive it"):
         vj.simulate(block, sign=-1.0, progress=False)
+    weak = mass(lambda t, y, p: -y["x"], replace(friction, static=0.4), name="weak", parameters=parameters)
+    ds = vj.run_sweep({"scene": weak, "grid": {"mu": [0.4, 0.5]}, "run": {"settle": 1.0}}, progress=False)
+    assert names_of(ds, "reason") == ["none", "static-below-sliding"]
+    with pytest.raises(vj.InputError, match=r"static of base is 0.4, below the 0.5 of its law at rest"):
+        vj.simulate(weak, mu=0.5, progress=False)
+
+
+def test_trajectory_that_grows_without_bound_warns():
+    """The solution of x'' = 6 x² from x = 1, x' = 2 is 1/(1 - t)²."""
+    field = lambda t, y, p: {"x": y["v"], "v": 6 * y["x"] * y["x"]}  # noqa: E731
+    grows = vj.System("grows", states={"x": "m", "v": "m s-1"}, parameters={"a": 1.0}, field=field, section="v")
+    with pytest.warns(UserWarning, match=r"grows is not finite after t = (0\.99|1 s)"):
+        vj.simulate(grows, start=[1.0, 2.0], duration=2.0, progress=False)
 
 
 def test_start_within_rounding_of_a_stop_is_on_it():

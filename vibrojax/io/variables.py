@@ -98,6 +98,7 @@ REASONS = (
     "negative-friction-at-rest",
     "mass-not-above-zero",
     "friction-drives",
+    "static-below-sliding",
 )
 """Meaning of each flag of `reason`."""
 

@@ -1,5 +1,6 @@
 """Recording of one point: its steps, samples of them, and the features of the last part of the motion."""
 
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -115,6 +116,9 @@ def recorded(
             last, why = ended[0], scene.fault_reasons[fault].replace("-", " ")
             end = steps.start[last] + steps.dt[last]
             raise Place("simulate").error(f"the motion of {scene.name} ends at t = {end:.6g} s: {why}")
+        if (lost := np.flatnonzero(~np.isfinite(steps.after).all(axis=1))).size:
+            begin = steps.start[lost[0]]
+            warnings.warn(f"simulate: the motion of {scene.name} is not finite after t = {begin:.6g} s", stacklevel=2)
         with timed("measure"):
             return Recorded(steps, labelled_features(point, features, accuracy.tolerance))
 

@@ -25,6 +25,9 @@ from vibrojax.systems.transitions import (
     onto_surfaces,
 )
 
+SAME_COEFFICIENT = 1 - 1e-9
+"""Least ratio of the static coefficient of friction to that of the law at rest: 1, but for rounding errors."""
+
 APPROACH = "approach"
 """Name of the hidden state with the speed of the last impact."""
 
@@ -303,7 +306,8 @@ class SystemEquations(Scene[SystemConstants]):
         fails += [event.inertia(c.p) + zero <= 0 for _, event in self._flow.of(Friction) if callable(event.mass)]
         fails += [slope < 0 for _, slope in self._opposing(c.p, zero, y)]
         for _, event in self._flow.of(Friction):
-            fails += [event.coefficient(zero, c.p) + zero < 0, event.at_rest(c.p) + zero < 0]
+            sliding, static = event.coefficient(zero, c.p) + zero, event.at_rest(c.p) + zero
+            fails += [sliding < 0, static < 0, (sliding > 0) & (static < SAME_COEFFICIENT * sliding)]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
     def has_no_field(self, c: SystemConstants, mode: Values, state: Values) -> Any:
@@ -351,7 +355,10 @@ class SystemEquations(Scene[SystemConstants]):
             text = f"the normal force of {event.name} is {_first(force):.6g} at the start; it must not be negative"
             mask = (force < 0) & (not event.lift_off)
             faults.append(("negative-normal-force", text, mask))
-            for at, coefficient in (("", event.coefficient(t, p) + t), ("static ", event.at_rest(p) + t)):
+            sliding, static = event.coefficient(t, p) + t, event.at_rest(p) + t
+            text = f"static of {event.name} is {_first(static):.6g}, below the {_first(sliding):.6g} of its law at rest"
+            faults.append(("static-below-sliding", text, (sliding > 0) & (static < SAME_COEFFICIENT * sliding)))
+            for at, coefficient in (("", sliding), ("static ", static)):
                 text = f"the {at}coefficient of {event.name} is {_first(coefficient):.6g}; it must not be negative"
                 faults.append(("friction-drives", text, coefficient < 0))
             mass = event.inertia(p) + t

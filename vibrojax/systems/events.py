@@ -117,8 +117,8 @@ class Friction:
       `vj.FRICTION_LAWS`. The parameters of a law become parameters of the system.
     - `acts_on`: name of the velocity that the friction force changes; `mass`: mass of the body [kg], a number or a
       function of `p`.
-    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; by default, the
-      coefficient of the law at rest.
+    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; by default, and at
+      least, the coefficient of the law at rest.
     - `lift_off`: True if a negative normal force counts as zero. If `lift_off` is False, a lane fails when the normal
       force becomes negative, because friction would then drive the body.
 
