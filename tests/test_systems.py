@@ -174,6 +174,13 @@ def test_friction_that_drives_for_some_parameters_fails_with_reason():
         vj.simulate(weak, mu=0.5, progress=False)
 
 
+def test_period_that_is_not_above_zero_fails_with_reason():
+    ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"w": [2.0, 0.0, -2.0]}}, progress=False)
+    assert names_of(ds, "reason") == ["none", *["period-not-above-zero"] * 2]
+    with pytest.raises(vj.InputError, match=r"the period of the forcing is -3.14159 s; it must be above 0"):
+        vj.simulate(IMPACT_OSCILLATOR, w=-2.0, progress=False)
+
+
 def test_trajectory_that_grows_without_bound_warns():
     """The solution of x'' = 6 x² from x = 1, x' = 2 is 1/(1 - t)²."""
     field = lambda t, y, p: {"x": y["v"], "v": 6 * y["x"] * y["x"]}  # noqa: E731

@@ -338,12 +338,13 @@ def fit(options: Options) -> None:
         options.file = given.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
-    from vibrojax.io.log_columns import read_columns
+    from vibrojax.io.log_columns import checked_columns, read_columns
     from vibrojax.io.riglog import log_lines
     from vibrojax.studies.rop_law import USES, fit_rop
     from vibrojax.studies.rop_results import law_facts, tables
 
     file, columns, by = Path(options.file), read_columns(given), options.by or []
+    checked_columns(columns)  # before an existing output is looked at
     reading = {"where": options.where, "nulls": options.nulls}
 
     def fitted(_: Path) -> "AbstractContextManager[xarray.Dataset]":
@@ -413,10 +414,11 @@ def _digest(file: Path) -> str:
 )
 def rig(options: Options) -> None:
     """Compute specific energies, the founder point and stick-slip of a rig log, and draw tracks over depth."""
-    from vibrojax.io.log_columns import read_columns
+    from vibrojax.io.log_columns import checked_columns, read_columns
     from vibrojax.studies.rig_analysis import rig as measures
 
     file, columns = Path(options.file), read_columns(list(options.columns or []))
+    checked_columns(columns)  # before an existing output is looked at
     reading = {"where": options.where, "nulls": options.nulls}
     units = options.units or "driller"
     identity = {"rig": _digest(file), "units": units, **_given(reading), **columns}

@@ -217,7 +217,7 @@ def likely_words(name: str, column: Column, median: float) -> str | None:
     if low / _MARGIN <= value <= high * _MARGIN or not (column.assumed or quantity.is_far(value)):
         return None
     choice = " or ".join(likely_units(median, quantity.unit, quantity.usual)) or "UNIT"
-    right = f"{column.header} {choice}" if column.index is None else f"{split_unit(column.header)[0]} ({choice})"
+    right = f"{median:.6g} {choice}" if column.index is None else f"{split_unit(column.header)[0]} ({choice})"
     return shell_assignment(name, right)
 
 

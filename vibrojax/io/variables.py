@@ -99,6 +99,7 @@ REASONS = (
     "mass-not-above-zero",
     "friction-drives",
     "static-below-sliding",
+    "period-not-above-zero",
 )
 """Meaning of each flag of `reason`."""
 

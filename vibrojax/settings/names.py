@@ -131,9 +131,11 @@ class Names:
 
     def start(self, place: Place, value: object) -> str | tuple[float, ...]:
         """Return a validated initial condition: a name, or a vector of states such as [x1, x1', x2, x2'] [m, m/s]."""
+        states = self.system.start_states
+        if isinstance(value, Mapping):
+            raise place.error(f"{shown(value)} is no initial condition; write a list: [{', '.join(states)}]")
         if not isinstance(value, (list, tuple)):
             return self.named_start(place, value)
-        states = self.system.start_states
         if len(value) != len(states):
             needed = f"{len(states)} are needed: [{', '.join(states)}]"
             raise place.error(f"{shown(value)} has {len(value)} numbers; {needed}")

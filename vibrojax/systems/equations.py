@@ -308,6 +308,7 @@ class SystemEquations(Scene[SystemConstants]):
         for _, event in self._flow.of(Friction):
             sliding, static = event.coefficient(zero, c.p) + zero, event.at_rest(c.p) + zero
             fails += [sliding < 0, static < 0, (sliding > 0) & (static < SAME_COEFFICIENT * sliding)]
+        fails += [] if c.period is None else [~(c.period > 0) | ~jnp.isfinite(c.period)]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
     def has_no_field(self, c: SystemConstants, mode: Values, state: Values) -> Any:
@@ -344,6 +345,10 @@ class SystemEquations(Scene[SystemConstants]):
         t = 0.0 * next(iter(y.values()))
         y |= {name: t + value for name, value in self._discrete.items()}
         faults: list[tuple[str, str, Any]] = []
+        if self._period is not None:
+            period = (self._period(p) if callable(self._period) else self._period) + t
+            text = f"the period of the forcing is {_first(period):.6g} s; it must be above 0 and finite"
+            faults.append(("period-not-above-zero", text, ~(period > 0) | ~np.isfinite(period)))
         for name, gap, beyond, r in self._stops(p, t, y):
             text = f"the gap of {name} is {_first(gap):.6g}; it must not be negative"
             faults.append(("beyond-a-stop", text, beyond))

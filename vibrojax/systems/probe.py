@@ -123,15 +123,17 @@ class Probe:
         for key, unit in states.items():
             if not _is_unit(unit):
                 raise self._refuse(f"states: {key} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
-        names = [*states, *self._discrete, *parameters, *(event.name for event in self._events)]
-        for key in names:
+        groups = {"state": [*states, *self._discrete], "parameter": [*parameters]}
+        groups["event"] = [event.name for event in self._events]
+        names = [(key, kind) for kind, group in groups.items() for key in group]
+        for key, _ in names:
             if not isinstance(key, str) or not key.isidentifier() or key in RESERVED:
                 raise self._refuse(
                     f"{shown(key)} cannot be a name; write an identifier, not one of {', '.join(RESERVED)}"
                 )
-            if names.count(key) > 1:
+            if len(kinds := [kind for name, kind in names if name == key]) > 1:
                 raise self._refuse(
-                    f"{shown(key)} is the name of two things; states, parameters and events need different names"
+                    f"{shown(key)} is the name of a {' and of a '.join(kinds)}; each needs a name of its own"
                 )
 
     def _takes_sides(self) -> bool:
