@@ -19,7 +19,8 @@ from typing import NoReturn
 
 from vibrojax.cli.arguments import Command, Options, either, flag
 from vibrojax.cli.datasets import explore, info, plot, scenes
-from vibrojax.cli.studies import accuracy, curves, fit, orbits, rig, study_command
+from vibrojax.cli.logs import fit, rig
+from vibrojax.cli.studies import accuracy, curves, orbits, study_command
 from vibrojax.cli.sweep import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.files import package_version

@@ -1,0 +1,152 @@
+"""Commands that read rig logs: fits of the rate-of-penetration law, and measures of a log."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vibrojax.cli.arguments import MANY, Options, argument, command, result_options
+from vibrojax.cli.output import result
+from vibrojax.errors import InputError, counted
+from vibrojax.progress import timed
+from vibrojax.studies import WORDS
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    import xarray
+
+_READING = (
+    argument(
+        "--where",
+        "CONDITION",
+        'conditions on the rows of a rig log to read, such as "WOB (klb) < 35", "depth (m) >= 1200" or Formation=shale',
+        **MANY,
+    ),
+    argument("--nulls", "TEXT", "further texts that mark a missing value in a rig log", nargs="+"),
+)
+
+
+@command(
+    argument(
+        "file",
+        "FILE",
+        "a sweep's dataset (.nc), a rig log as exported (CSV, LAS, WITSML, xlsx), or a CSV with columns relief (P/D, "
+        "mean force over the force at which the rock yields) and rate_of_penetration, or those that --columns names",
+        nargs="?",
+    ),
+    argument("--along", "AXIS", "axis along which rates are fitted (default: frequency, else v; for a CSV, its rows)"),
+    argument(
+        "--columns",
+        "NAME=COLUMN",
+        "columns of a CSV and their units, such as "
+        'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, such as threshold="150 kN" '
+        "or rock=granite (its threshold); threshold=unknown is the default for rig logs",
+        **MANY,
+    ),
+    argument(
+        "--by",
+        "COLUMN",
+        "column of a CSV, such as the formation; the rows of each of its values are fitted separately",
+        action="append",
+    ),
+    *_READING,
+    *result_options("FILE-fit.nc"),
+)
+def fit(options: Options) -> None:
+    """Fit the rate-of-penetration law to a sweep's dataset or to rig data."""
+    given = list(options.columns or [])
+    if options.file is None and given and "=" not in given[-1]:
+        options.file = given.pop()  # FILE may follow the columns
+    if options.file is None:
+        raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
+    from vibrojax.io.log_columns import checked_columns, read_columns
+    from vibrojax.io.riglog import log_lines
+    from vibrojax.studies.rop_law import USES, fit_rop
+    from vibrojax.studies.rop_results import law_facts, tables
+
+    file, columns, by = Path(options.file), read_columns(given), options.by or []
+    checked_columns(columns)  # before an existing output is looked at
+    reading = {"where": options.where, "nulls": options.nulls}
+
+    def fitted(_: Path) -> "AbstractContextManager[xarray.Dataset]":
+        with timed("fit"):
+            law = fit_rop(options.file, options.along, by, progress=False, columns=columns, **reading)
+        if (law["data_use"] == USES.index("censored")).any() and not (law["data_use"] == USES.index("fitted")).any():
+            lanes = counted(int((law["data_use"] > 0).sum()), "lane")
+            more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
+            raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
+        return nullcontext(law)
+
+    identity = {"data": _digest(file), "along": options.along, "by": ", ".join(by), **_given(reading), "fit": True}
+    identity |= {f"columns.{name}": text for name, text in columns.items()}
+    ds = result(options, f"{file.stem}-fit.nc", identity, fitted, reused=False)
+    law = ds.dataset
+    facts = law_facts(law)
+    sources = log_lines(law)
+    lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
+    lines = [
+        *([*sources, ""] if sources and not options.quiet else []),
+        *tables(law),
+        "",
+        f"forms of the rate of penetration: {law.attrs['formulas']}",
+        f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",
+        "AIC: lower is better, by more than 2 clearly so"
+        + "; CV: error of rates predicted from other rows, which decides" * bool(law["cv_error"].notnull().any()),
+        "",
+        *facts["verdict"],
+    ]
+    ds.print(options, lines, {"file": options.file, **facts})
+
+
+def _given(reading: Mapping[str, Sequence[str] | None]) -> dict[str, str]:
+    return {name: "; ".join(words) for name, words in reading.items() if words}
+
+
+DIGEST_LENGTH = 12
+"""Number of hexadecimal digits of the SHA-256 by which a fit recognises its data."""
+
+
+def _digest(file: Path) -> str:
+    """Return a file's name with a digest of its data.
+
+    The digest is that of the identity of a dataset, which a repeated run keeps, or of the content of another file.
+    """
+    from vibrojax.io.identity import digest, stored_identity
+
+    identity = stored_identity(file) if file.suffix == ".nc" else None
+    content = file.read_bytes() if file.is_file() else b""
+    text = digest(identity) if identity is not None else hashlib.sha256(content).hexdigest()
+    return f"{file.name}, sha256 {text[:DIGEST_LENGTH]}"
+
+
+@command(
+    argument("file", "FILE", "a rig log as exported (CSV, LAS, WITSML, xlsx)"),
+    argument(
+        "--columns",
+        "NAME=COLUMN",
+        'columns of the log and their units, or one value for all rows: bit_diameter="8.5 in", impact_power="12 kW"',
+        **MANY,
+    ),
+    *_READING,
+    argument(
+        "--units", "driller|si", "units of the picture and the summary: driller (m/h, rpm, kN, MPa; default) or si"
+    ),
+    *result_options("FILE-rig.nc"),
+)
+def rig(options: Options) -> None:
+    """Compute specific energies, the founder point and stick-slip of a rig log, and draw tracks over depth."""
+    from vibrojax.io.log_columns import checked_columns, read_columns
+    from vibrojax.studies.rig_analysis import rig as measures
+
+    file, columns = Path(options.file), read_columns(list(options.columns or []))
+    checked_columns(columns)  # before an existing output is looked at
+    reading = {"where": options.where, "nulls": options.nulls}
+    units = options.units or "driller"
+    identity = {"rig": _digest(file), "units": units, **_given(reading), **columns}
+
+    def measured(_: Path) -> "AbstractContextManager[xarray.Dataset]":
+        return nullcontext(measures(file, columns, **reading, units=units))
+
+    result(options, f"{file.stem}-rig.nc", identity, measured).print(options)
