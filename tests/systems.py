@@ -250,27 +250,13 @@ def _flow(t: float, stiffness: float, damping: float) -> np.ndarray:
     )
 
 
-def ball_orbit(ratio: float, R: float, w: float, gravity: float) -> Rigid:
-    """Return the orbit of a ball that meets the table once per period at its upper (stable) phase. `ratio` is a/g.
+def ball_appears(R: float) -> float:
+    """Return a/g at which the orbit of a ball that meets the table once per period appears, in a fold.
 
     The ball flies for a period T, so that it leaves and meets the table at speed gT/2, where the table's velocity is
     gT/2 (1 - R)/(1 + R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes,
     *Nonlinear Oscillations*, 1983, section 2.4, here without the approximation of high bounces.
     """
-    above = np.arccos(np.pi * (1 - R) / (1 + R) / ratio)  # phase of the table's sine
-    T, height = 2 * np.pi / w, ratio * gravity / w**2
-    speed = gravity * T / (1 + R)
-    remaining = T - (above + np.pi / 2) / w  # from the impact to the next section
-    flown, rises = (
-        height * np.sin(above) + gravity * (T / 2) * remaining - gravity * remaining**2 / 2,
-        gravity * (T / 2 - remaining),
-    )
-    values = _multipliers(1 + R**2 - (1 + R) ** 2 * ratio * np.sin(above), R**2)
-    return Rigid(above + np.pi / 2, speed, values, np.array([-height - flown, -rises]))
-
-
-def ball_appears(R: float) -> float:
-    """Return a/g at which this orbit appears, in a fold."""
     return np.pi * (1 - R) / (1 + R)
 
 

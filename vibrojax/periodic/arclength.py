@@ -48,6 +48,10 @@ SHORTEST_STEP, LONGEST_STEP = 1e-9, 0.2
 TURN, SHARP_TURN = 0.2, 0.5
 """Angles [rad] between successive tangents: the target angle, and the largest accepted angle."""
 
+ASIDE = 0.25
+"""Angle [rad] between a step and the tangents at both of its ends from which on these are on different parts of a
+branch, unless the tangents differ by half as much: the chord of an arc forms half the angle of its tangents."""
+
 CORNER, CROSSING = 2e-2, 1e-4
 """Step lengths up to which larger angles are accepted where events begin or vanish: branches have corners there."""
 
@@ -316,6 +320,7 @@ class _ActiveBranches:
         corner = (taken <= CORNER) & (turn <= CORNER_TURN) | (taken <= CROSSING) & (turn <= CROSSING_TURN)
         sound = np.isfinite(now.tangent).all(axis=1)
         sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST_STEP) | changed & corner
+        sound &= changed | (taken < CROSSING) | (_aside(last, now) <= np.maximum(ASIDE, 2 * turn))
         value = problem.values(now.family, now.u)[:, -1]
         beyond = (value > problem.last[now.family, -1]) | (value < problem.first[now.family, -1])
         sound &= ~(beyond & np.isnan(self._bound[lanes])) & ~((now.swing < LEAST_SWING) & self._shrinks(now))
@@ -363,3 +368,10 @@ class _ActiveBranches:
         self.status[kept[self._shrinks(now)]] = VANISHED
         self.predict(kept)
         return sound
+
+
+def _aside(last: Points, now: Points) -> PerLane:
+    """Return the smaller angle [rad] between steps and the tangents at their ends."""
+    chord = now.u - last.u
+    along = np.maximum(*(np.einsum("ij,ij->i", chord, end.tangent) for end in (last, now)))
+    return np.arccos(np.clip(along / np.linalg.norm(chord, axis=1), -1, 1))

@@ -216,6 +216,8 @@ class FamilyContinuation(Tracing):
                 kinds = [SPECIAL_KINDS[flag] for flag in flags]
             crossed = cross_impact(problem, end) if problem.at_section else None
             if crossed is not None:
+                if crossed.tangent[0, -1] * end.tangent[0, -1] < 0:
+                    segment.mark("fold", "")
                 segment.mark("section", "an impact passes the time of the section")
                 following.append(segment.onward(crossed))
                 continue

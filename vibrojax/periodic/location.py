@@ -362,27 +362,31 @@ def cross_impact(problem: Problem, last: Points) -> Points | None:
     The states before and after the impact differ, although the motion changes smoothly. Return the new point, or None
     if no state at the section is at an impact. `last`: last point of one branch.
     """
-    lane, sign, rows = last.family, np.sign(last.tangent[:, -1]), problem.rows
+    lane, rows, cycles = last.family, problem.rows, last.times.shape[1]
 
     def sides(u: Unknowns, cycle: int) -> list[tuple[PerLane, np.ndarray]]:
         return across_impacts(problem.scene, problem.parameters_at(lane, u), problem.states(lane, u)[0][[cycle]])
 
-    cycles = last.times.shape[1]
+    def across(distance: float, cycle: int, stop: int) -> Unknowns:
+        """Return unknowns behind the last ones. The continued state penetrates the stop by as much as the motion."""
+        u, mine, previous = last.u + distance * last.tangent, *(np.arange(rows) + k * rows for k in (cycle, cycle - 1))
+        u[0, mine] = sides(u, cycle)[stop][1][0] / problem.scales[lane[0]]
+        if cycles > 1:
+            u[0, mine] += problem.evaluate(lane, u).off[0, previous]
+        return u
+
     at_stop = [
         (k, stop) for k in range(cycles) for stop, (gap, _) in enumerate(sides(last.u, k)) if abs(gap) <= AT_STOP
     ]
     for cycle, stop in at_stop:
-        mine, previous = (slice(k * rows, (k + 1) * rows) for k in (cycle, (cycle - 1) % cycles))
         for distance in REINDEX_DISTANCES:
-            guess = last.u + distance * last.tangent
-            # The continued state penetrates the stop. Across the impact, it is as far before it as the motion is.
-            [other] = sides(guess, cycle)[stop][1]
-            if not np.isfinite(other).all():
+            guess = across(distance, cycle, stop)
+            # At a fixed parameter, the other orbit of a fold would be as near.
+            row = across(2 * distance, cycle, stop) - guess
+            if not np.isfinite(row).all():
                 continue
-            guess[0, mine] = other / problem.scales[lane[0]]
-            if cycles > 1:
-                guess[0, mine] += problem.evaluate(lane, guess).off[0, previous]
-            now, converged = problem.correct(lane, guess, towards(guess, 1.0), guess[:, -1])
+            row /= np.linalg.norm(row)
+            now, converged = problem.correct(lane, guess, row, np.einsum("ij,ij->i", row, guess))
             if converged[0] and np.abs(now.u - guess).max() < 100 * distance + 1e-3:
-                return now.along(towards(guess, sign))
+                return now
     return None
