@@ -346,6 +346,13 @@ def test_branches_have_stability_and_special_points():
         ds["stable"][{"point": first.points[ds["gamma"].values[first.points] == 0.9]}] = side
         changes = ds["gamma"].values[first.points][1:-1][np.diff(stability(ds, first)) != 0]
         assert changes.tolist() == [0.9, 0.5]
+    between = (ds["branch"] == 0) & (ds["gamma"] > 0.5) & (ds["gamma"] < 0.9)
+    bare, critical = ds.isel(point=~between.values), np.isin(ds["gamma"].values[~between.values], (0.5, 0.9))
+    bare["stable"][{"point": critical}] = 0
+    bare["multiplier_abs"][{"point": critical, "multiplier": 0}] = 1.0 + 1e-8
+    assert stable_intervals(bare, next(branches(bare))) == [down]
+    bare["multiplier_abs"][{"point": critical, "multiplier": 0}] = 2.0
+    assert not stable_intervals(bare, next(branches(bare)))
     sheets = one_family(high=0.8).isel(point=slice(0, 19))
     sheets["gamma"][{"point": 0}] = 0.8
     first = next(branches(sheets))

@@ -19,6 +19,9 @@ STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 
 KIND, FAMILY = "special_kind", "family"
 
+CRITICAL = 1e-3
+"""Distance of the largest modulus from 1 up to which a bifurcation changes stability."""
+
 BEGINNINGS = ("period-doubling", "branch-point")
 """Kinds of special points at which other branches begin."""
 
@@ -132,12 +135,22 @@ def stability(ds: xr.Dataset, branch: Branch) -> Int[np.ndarray, " segments"]:
     """Return the stability of each segment between successive points of a branch: 1, 0, or -1 if unknown.
 
     Multipliers at a special point hold on only one side of it. The stability of the neighbouring point is used instead.
+    Between two successive bifurcations, stability is the opposite of that beside them.
     """
-    stable, special = ds["stable"].values[branch.points].astype(int), np.isin(branch.points, places(ds, branch))
+    stable, at = ds["stable"].values[branch.points].astype(int), places(ds, branch)
+    special = np.isin(branch.points, at)
     here, following = stable[:-1], stable[1:]
     either = np.where(special[1:] & ~special[:-1], here, np.minimum(here, following))
     either = np.where(special[:-1] & ~special[1:], following, either)
-    return np.where(here == following, here, either)
+    result = np.where(here == following, here, either)
+    if LARGEST in ds:
+        names = np.array(kind_names(ds), object)[branch.special]
+        changes = np.isin(branch.points, at[np.isin(names, ("fold", "period-doubling", "torus"))])
+        changes &= np.abs(heights_of(ds, LARGEST, 1.0)[branch.points] - 1) < CRITICAL
+        for k in np.flatnonzero(changes[:-1] & changes[1:]).tolist():
+            beside = result[k - 1 if k else len(result) > 1]
+            result[k] = {STABLE: UNSTABLE, UNSTABLE: STABLE}.get(beside, beside)
+    return result
 
 
 def runs(segments: Int[np.ndarray, " segments"]) -> Iterator[tuple[int, int, int]]:
@@ -258,7 +271,9 @@ def family_layers(
                 points = branch.points[first : last + 1]
                 width = (0.9 if thin else 1.6) if stable == STABLE else (0.7 if thin else 1.1)
                 corners = np.flatnonzero(np.isin(points, special))
-                smoothed = [*smooth(along[points], heights[points], corners, name == LARGEST)]
+                # The modulus at a special point may hold beyond it.
+                solid = np.minimum(heights, 1.0) if name == LARGEST and stable == STABLE else heights
+                smoothed = [*smooth(along[points], solid[points], corners, name == LARGEST)]
                 x, y = (np.concatenate(part) for part in zip(*smoothed, strict=True))
                 # Points outside become NaN, so that they do not change the limits of the panel.
                 inside = np.where((x >= low) & (x <= high), y, np.nan)
