@@ -26,6 +26,7 @@ from vibrojax.explorer.write import blocks_of
 from vibrojax.maps.read import read_sweep
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
+from vibrojax.pictures.motion import states_over_time
 from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, dots, level
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
@@ -127,7 +128,11 @@ def test_states_before_and_after_an_impact_are_at_its_own_time() -> None:
         assert before.size and (cell.time[before] == cell.time[before + 1]).all()
         np.testing.assert_allclose(cell.states["v"][before + 1], -0.5 * cell.states["v"][before], rtol=1e-3)
         np.testing.assert_allclose([cell.states["x"][before], cell.states["x"][before + 1]], 0.0, atol=1e-4)
-    document = contents_of(motion.assign(drift_estimate=np.inf)).document  # a number without an end refuses no page
+    unsettled = motion.assign(drift_estimate=np.inf)
+    document = contents_of(unsettled).document  # a number without an end refuses no page
+    words = "still on its way to where it settles, and its returns do not tell how far"
+    assert all(words in text for text in (cell_of(unsettled).note, str(document["summary"])))
+    assert words[1:] in states_over_time(unsettled).note and words not in cell_of(motion).note
     assert "r = 0.5" in document["common"] and "bit" not in document["meanings"]["equilibrium"]
 
 
