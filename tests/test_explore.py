@@ -26,6 +26,7 @@ from vibrojax.explorer.write import blocks_of
 from vibrojax.maps.read import read_sweep
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
+from vibrojax.pictures.motion import states_over_time
 from vibrojax.pictures.plots import Area, Axis, Bars, Cells, Layer, Line, Plot, Points, Sheet, Text, dots, level
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
@@ -127,8 +128,12 @@ def test_states_before_and_after_an_impact_are_at_its_own_time() -> None:
         assert before.size and (cell.time[before] == cell.time[before + 1]).all()
         np.testing.assert_allclose(cell.states["v"][before + 1], -0.5 * cell.states["v"][before], rtol=1e-3)
         np.testing.assert_allclose([cell.states["x"][before], cell.states["x"][before + 1]], 0.0, atol=1e-4)
-    document = contents_of(motion.assign(drift_estimate=np.inf)).document  # a number without an end refuses no page
-    assert "r = 0.5" in document["common"] and "bit" not in document["meanings"]["equilibrium"]
+    unsettled = motion.assign(drift_estimate=np.inf)
+    document = contents_of(unsettled).document  # a number without an end refuses no page
+    words = "still on its way to where it settles, and its returns do not tell how far"
+    assert all(words in text for text in (cell_of(unsettled).note, str(document["summary"])))
+    assert words[1:] in states_over_time(unsettled).note and words not in cell_of(motion).note
+    assert document["common"].count("r = 0.5") == 1 and "bit" not in document["meanings"]["equilibrium"]
 
 
 # Documents.
@@ -287,7 +292,7 @@ def test_legend_has_signs_as_they_are_drawn_and_the_note_of_the_picture() -> Non
         dots([0.5], [0.5], colour=blue, size=9.0),
         Line([0.5, 0.51], [0.5, 0.5], "#aa0000", label="short"),
     ]
-    layers.append(Line([0.1, 0.9], [0.5, 0.5], "#aa0000", label="long"))
+    layers += [Line([0.1, 0.9], [0.5, 0.5], "#aa0000", label="long"), dots([0.2], [0.2], face="none")]
     chosen = dots([], [], colour="#222222", size=9.0, label="chosen")
     sheet = Sheet(
         [Plot(layers, Axis("x", limits=limits), Axis("y", limits=limits))], keys=[[chosen]], note="a = 1. Bars: errors"
@@ -296,6 +301,7 @@ def test_legend_has_signs_as_they_are_drawn_and_the_note_of_the_picture() -> Non
     figure = figure_document([sheet], ds, [])
     assert {key["text"]: key["colour"] for key in figure["keys"]} == {"chosen": blue, "long": "#aa0000"}
     assert figure["note"] == "Bars: errors"
+    assert [one["hollow"] for one in figure["plots"][0]["items"] if one["kind"] == "points"] == [False, "none"]
 
 
 def test_modules_share_one_scope_without_clashes() -> None:

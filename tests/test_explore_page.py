@@ -227,6 +227,20 @@ def test_link_restores_selection(browser: Any, files: dict[str, Path]) -> None:
         assert reopened.cell == {"beta": 2, "gamma": 2, "start": 0}
 
 
+def test_dots_and_signs_of_labels_are_seen_on_dark_ground(browser: Any, files: dict[str, Path]) -> None:
+    """Along one axis, a regime's colour has a contrast of 3 with the plate; maps keep those of the picture."""
+    signs = """[...document.querySelectorAll(".vx-legend .vx-sign")].map(one => [one.key.colour,
+        ...one.getContext("2d").getImageData(one.width / 2, one.height / 2, 1, 1).data.slice(0, 3)])"""
+    with OpenPage(browser, files["many"], "#at.delta=0.005", scheme="dark") as opened:
+        for along in (False, True):
+            if along:
+                opened.page.locator("[data-control='y']").select_option("")
+                opened.settled()
+            found = {colour: np.array(rgb) / 255 for colour, *rgb in opened.evaluate(signs)}
+            luminance = found["#6A1B5D"] ** 2.2 @ [0.2126, 0.7152, 0.0722]
+            assert ((luminance + 0.05) / (0.0156 + 0.05) > 3) == along  # the plate #1d2226 has 0.0156
+
+
 def test_command_of_cell_simulates_it(browser: Any, files: dict[str, Path]) -> None:
     with OpenPage(browser, files["few"], "#at.beta=0.4&at.gamma=0.7&at.start=1") as opened:
         calls = opened.evaluate("vibrojax.calls()")
@@ -310,6 +324,7 @@ def test_motion_is_played_compared_zoomed_and_saved(browser: Any, files: dict[st
         ]
         numbers = [float(x.replace("\u2212", "-")) for x in re.findall(r"[+\u2212-]?\d+\.\d+", row)]
         assert numbers == pytest.approx([values[1], values[0], values[1] - values[0]], rel=5e-3)
+        assert row.endswith(" m/s") and page.get_by_text("difference: this \u2212 pinned").is_visible()
         assert "pins=1.1.1" in opened.evaluate("location.hash") and page.get_by_text("Over the phase").is_visible()
         # Files.
         with page.expect_download() as saved:

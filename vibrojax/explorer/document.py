@@ -102,11 +102,12 @@ def reading_text(ds: xr.Dataset) -> str:
 
 def common_text(ds: xr.Dataset) -> str:
     """Return the values common to all lanes; of a system of a user with all its parameters, which have no list."""
-    listed = {*ds.coords, *(row["name"] for row in differing_of(ds))}
+    point = point_text(ds)
+    listed = {*ds.coords, *(row["name"] for row in differing_of(ds)), *(x.split(" = ")[0] for x in point.split(", "))}
     scene = text_of(ds, "scene")
     values = {} if not scene or scene in SCENES else parameters_of(ds)
     defaults = [f"{printable(name, 40)} = {number(value)}" for name, value in values.items() if name not in listed]
-    return ", ".join(filter(None, [*defaults, point_text(ds)]))
+    return ", ".join(filter(None, [*defaults, point]))
 
 
 def check_names(ds: xr.Dataset) -> None:

@@ -27,6 +27,7 @@ from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.lane_stages import lane_run
 from vibrojax.physics.parameters import Parameter, substitutes
 from vibrojax.pictures.axes import pretty_unit, scale, with_unit
+from vibrojax.pictures.motion import unsettled_text
 from vibrojax.scenes import Scene
 from vibrojax.scenes.capabilities import HasRock
 from vibrojax.settings.names import Names, read_names
@@ -134,8 +135,9 @@ class LiveMotions:
             check_size(PLACE, point.system, constants, self.duration, accuracy, self._stepper, 0)
             motion = recorded(point, self._stepper, constants, accuracy, self.duration, count_steps)
         cell = _cell_of_motion(point.system, constants, motion, self.duration)
-        notes = [cell.note, *(str(w.message) for w in caught if issubclass(w.category, UnusualValue))]
-        return replace(cell, note="; ".join(note for note in notes if note))
+        drift = motion.found["drift_estimate"][1] if "drift_estimate" in motion.found else np.nan
+        unusual = (str(w.message) for w in caught if issubclass(w.category, UnusualValue))
+        return replace(cell, note="; ".join(filter(None, (cell.note, unsettled_text(float(drift)), *unusual))))
 
     def lane(self, number: object, check: Callable[..., None] | None = None) -> Cell:
         """Return the motion of a lane of the sweep, simulated from its initial condition.

@@ -11,9 +11,9 @@ A description holds the plots, the entries of their legends, and figures as imag
      "images": [{"title", "data": a PNG file as a data URL}]}
 
 Items are in data coordinates, each with a "kind": "line" (x, y, label, colour, width, dash), "points" (x, y, label,
-colours, sizes, shape, hollow), "area" (x, y, label, colour or "hatched", alpha, at: the end of a bar), "cells" (x, y:
-edges; colours; data: packed indices of colours; values; names of values; hatched) and "text". A shape is a marker of
-matplotlib.
+colours, sizes, shape, hollow: false or what fills it, "none" or "white"), "area" (x, y, label, colour or "hatched",
+alpha, at: the end of a bar), "cells" (x, y: edges; colours; data: packed indices of colours; values; names of values;
+hatched) and "text". A shape is a marker of matplotlib.
 """
 
 import base64
@@ -215,7 +215,7 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
     if isinstance(layer, plots.Line | plots.Points) and np.size(layer.x):
         points = _xy(plot, layer.x, layer.y)
         step = _step(np.broadcast_arrays(np.atleast_1d(layer.x), layer.y)[0])
-        hollow = isinstance(layer, plots.Line) and layer.face in ("none", "white")
+        hollow = isinstance(layer, plots.Line) and layer.face in ("none", "white") and layer.face
         if isinstance(layer, plots.Line):
             if layer.dash:
                 look = {"colour": to_hex(layer.colour), "width": layer.width, "dash": _dash(layer.dash, layer.width)}

@@ -18,6 +18,7 @@ from vibrojax.io.attributes import parameters_of
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.record import Record, SampledMotion, events, record_batch, sample, states_shown
 from vibrojax.lazy import jax
+from vibrojax.pictures.motion import unsettled_text
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
@@ -379,4 +380,5 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
     ends = np.concatenate([moments[name] for name in EVENTS[1:]])
     cell = _cell(excerpt, moments, path, ends, states_at, crossings, TRAJECTORY_FINENESS)
     numbers = finite({str(name): x.values.item() for name, x in motion.data_vars.items() if x.ndim == 0})
-    return replace(cell, lane=lane, numbers=numbers)
+    unsettled = unsettled_text(float(motion.get("drift_estimate", np.nan)))
+    return replace(cell, lane=lane, numbers=numbers, note="; ".join(filter(None, (cell.note, unsettled))))

@@ -148,8 +148,6 @@ def _plots_document(ds: xr.Dataset) -> Document:
         figure = figure_document(analysis_of(ds).page_figures(ds), ds, [])
     except InputError as error:
         raise InputError(f"explore: {error}") from None
-    if kind_of(ds) == "study":
-        figure["note"] = f"Above the bars: mean ± standard deviation over the samples. {figure['note']}"
     return document.document_with(ds, "plots", _numbers(ds), figure=figure, without="")
 
 

@@ -13,13 +13,13 @@ from vibrojax.pictures.motion import (
     FIGURE_WIDTH,
     Run,
     Samples,
-    band_text,
     enlarged,
     force_plot,
     growth_text,
     hole_plot,
     printed_unit,
     read_run,
+    run_notes,
     span,
     time_axis,
 )
@@ -65,7 +65,7 @@ def pulses(ds: xr.Dataset) -> Sheet:
                 layers = [span(late, end, 0.25), *plot.layers]
                 plots.append(replace(plot, layers=layers, keys="above left", key_columns=3, place=(row, 0)))
     plots.sort(key=lambda plot: plot.place)
-    about = margins(ds, growth_text(hole), band_text(plots))
+    about = run_notes(ds, plots, growth_text(hole))
     heights = (*[0.5] * top, 1.3, 1.0)[: top + len(rows)]
     size = FIGURE_WIDTH, (5.4 if names else 3.4) + 1.4 * top
     return Sheet(plots, size, (1.25, 1.0), heights, **about)

@@ -38,6 +38,7 @@ _REST_SPEED = 0.01  # fraction of the greatest speed up to which the bit counts 
 _IMPACT_LEAD = 0.15  # fraction of an impact's duration that is shown before the impact
 _MOST_STATES = 6  # of a system; more would not be legible on one page
 _DOTS: Look = {"size": 4.0, "colour": IMPACT, "order": 4.0, "clip": False}
+REPORTED_DRIFT = 1e-3  # relative distance from the settled motion: half a digit of printed values
 _FORCES = {  # colour, line width, legend text
     "applied_force": (FAINT, 1.0, "given I"),
     "rock_force": (INK, 1.0, "rock N"),
@@ -131,6 +132,21 @@ def band_text(plots: Sequence[Plot]) -> str:
     if not any(isinstance(layer, Area) and layer.step for plot in plots for layer in plot.layers):
         return ""
     return "Bands: from the least to the greatest value, where the oscillations are too many to be told apart"
+
+
+def unsettled_text(drift: float) -> str:
+    """Return that a motion has not settled, given its `drift_estimate`; "" if it has, or the estimate is NaN."""
+    if not drift > REPORTED_DRIFT:
+        return ""
+    far = f"by some {100 * drift:.3g} %" if np.isfinite(drift) else "and its returns do not tell how far"
+    return f"still on its way to where it settles, {far}: a longer duration brings it there"
+
+
+def run_notes(ds: xr.Dataset, plots: Sequence[Plot], *notes: str) -> dict[str, Any]:
+    """Return the margins of a picture of a run with `notes`, those on bands, and whether the motion has settled."""
+    drift = ds.get("drift_estimate")
+    text = "" if drift is None or drift.ndim else unsettled_text(float(drift))
+    return margins(ds, *notes, band_text(plots), text[:1].upper() + text[1:])
 
 
 def time_axis(start: float, end: float, group: str = "time") -> Axis:
@@ -323,7 +339,7 @@ def trajectory(ds: xr.Dataset) -> Sheet:
     for k, (_, row) in enumerate(rows):
         wide = _COLUMNS // len(row)
         plots += [replace(plot, place=(k, i * wide, 1, wide)) for i, plot in enumerate(row)]
-    about = margins(ds, growth_text(hole) if hole else "", band_text(plots))
+    about = run_notes(ds, plots, growth_text(hole) if hole else "")
     return Sheet(plots, (FIGURE_WIDTH, sum(heights) + 0.33 * len(heights) + 1.2), heights=heights, **about)
 
 
@@ -372,7 +388,7 @@ def states_over_time(ds: xr.Dataset) -> Sheet:
         ]
         across, up = (axis(ds[name]) for name in names[:2])
         plots.append(Plot(lines, across, up, place=(0, 2, len(names), 1), grid=""))
-    notes = margins(ds, f"Drawn: {part}" * (not portrait), band_text(plots))
+    notes = run_notes(ds, plots, f"Drawn: {part}" * (not portrait))
     return Sheet(plots, (FIGURE_WIDTH, max(1.5 * len(names) + 1.0, 3.6)), beside=False, **notes)
 
 

@@ -31,7 +31,7 @@ from vibrojax.measures.labels import FEWEST_RETURNS
 from vibrojax.physics.parameters import differing
 from vibrojax.pictures.axes import pretty_unit, scale
 from vibrojax.pictures.hole import pulses, response
-from vibrojax.pictures.motion import states_over_time, trajectory
+from vibrojax.pictures.motion import states_over_time, trajectory, unsettled_text
 from vibrojax.progress import LOG, Progress
 from vibrojax.scenes import HasFriction, HasRock, Scene
 from vibrojax.settings.code_identity import code_identity
@@ -51,9 +51,6 @@ TRAJECTORY_MAX_SAMPLES = 2_000_000
 """Maximum number of samples: some 200 MB of states and forces, more than any plot can show."""
 
 SECTION = "to the section (the bit overtakes the drive)"
-
-REPORTED_DRIFT = 1e-3
-"""Relative distance from the settled motion above which the summary reports it: half a digit of printed values."""
 
 DURATION_MARGIN = 1.15
 """Ratio of the recommended duration to the shortest sufficient duration."""
@@ -301,11 +298,7 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
     last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
     if "returns" in values:
         last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
-    drift = values.get("drift_estimate", math.nan)
-    if drift > REPORTED_DRIFT:
-        far = f"by some {100 * drift:.3g} %" if math.isfinite(drift) else "and its returns do not tell how far"
-        last += f"; still on its way to where it settles, {far}: a longer duration brings it there"
-    return [*lines, last]
+    return [*lines, "; ".join(filter(None, [last, unsettled_text(values.get("drift_estimate", math.nan))]))]
 
 
 def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:

@@ -41,8 +41,10 @@ function textOf(page, motion) {
   return described(motion, value === undefined ? undefined : PERIODIC.includes(value) ? cyclesOf(page, motion) : value === IRREGULAR ? 0 : null);
 }
 
+const capital = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
+
 function head(page, motion) {
-  let text = page.data.without || (page.data.lanes ? "no motion is kept here" : "");
+  let text = capital(page.data.without || (page.data.lanes ? "no motion is kept here" : ""));
   if (motion) text = textOf(page, motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
   const [badge, meaning] = regimeOf(page, motion), moves = motion && motion.kind !== "none";
   return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }), ...badge,
@@ -194,7 +196,7 @@ function pinnedNumber(grid, variable, value, pin) {
   const other = pin.values[variable.name];
   if (other === undefined) return el("td", { class: "vx-other", text: "—" });
   const change = (value - other) * variable.factor, cell = el("td", { class: "vx-other", text: grid.valueText(variable, other, 4) });
-  if (!variable.flags && Number.isFinite(change) && change !== 0) cell.append(el("small", { text: ` ${change > 0 ? "+" : ""}${numberText(change, 3)}` }));
+  if (!variable.flags && Number.isFinite(change) && change !== 0) cell.append(el("small", { text: ` ${change > 0 ? "+" : ""}${numberText(change, 3)} ${variable.units}`.trimEnd() }));
   return cell;
 }
 
@@ -238,7 +240,7 @@ export function numbersOf(page, motion, pins = []) {
   }
   if (pins.length)
     rows.unshift(el("tr", {}, el("td"), el("th", { scope: "col", text: "this" }), ...pins.map((pin) =>
-      el("th", { scope: "col" }, el("span", { class: "vx-swatch", style: `background:${pin.colour}` }), ` ${pin.title}`))));
+      el("th", { scope: "col" }, el("span", { class: "vx-swatch", style: `background:${pin.colour}` }), ` ${pin.title}`, el("small", { text: "difference: this − pinned" })))));
   if (missing.length) rows.push(el("tr", {}, el("th", { colspan: 2 }, "without a value: ", el("code", { text: missing.join(", ") }))));
   return el("details", { class: "vx-numbers", open: page.table.querySelector("details.vx-numbers")?.open ?? true }, el("summary", { text: "Numbers" }), el("table", {}, el("tbody", {}, ...rows)));
 }

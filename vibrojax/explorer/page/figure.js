@@ -13,6 +13,7 @@ const POINT = 4 / 3;
 /** Draw items of a description, and have their values read by the last key that looks the same; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink, keys = []) {
   const nameOf = (item, colour, ...shapes) => item.label || (keys.findLast((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
+  const labels = new Set(keys.filter(({ shape }) => shape !== "scale" && shape !== "patch").map((key) => key.colour));
   for (const item of items) {
     const { x, y } = item, colour = (text) => legible(text, ink);
     if (item.kind === "line") {
@@ -22,8 +23,8 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       const { colours, sizes } = item;
       x.forEach((value, k) => {
         if (value === null || y[k] === null) return;
-        const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 ? colour(own) : own, size = POINT * Math.max(1.2, sizes[k % sizes.length] ?? 2);
-        if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, ink.plate, colour(own));
+        const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 || labels.has(own) ? colour(own) : own, size = POINT * Math.max(1.2, sizes[k % sizes.length] ?? 2);
+        if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, item.hollow === "none" ? "transparent" : ink.plate, colour(own));
         else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(shade) !== shade ? ink.faint : size > 2.6 ? ink.plate : null);
       });
       read(nameOf(item, colours[0], item.shape, "line"), x, y);

@@ -32,11 +32,11 @@ const percent = (share) => (share === 1 ? "100 %" : share < 0.01 ? "<1 %" : shar
 
 /** The entries of the legend of the map and of its files, see `drawSign`: with a sentence on what it is and a share of cells. */
 export function keysOf(page) {
-  const { grid, data } = page, variable = coloured(page), { curves, family, meanings = {} } = data, values = shownValues(page, variable), found = [];
+  const { grid, data } = page, variable = coloured(page), { curves, family, meanings = {} } = data, values = shownValues(page, variable), found = [], look = page.view.hasCells ? { shape: "patch" } : { shape: "o", size: 4, rim: true };
   const count = (wanted) => values.reduce((n, value) => n + (value === wanted), 0);
   for (const flag of Object.keys(variable.flags ?? {}).map(Number).sort((a, b) => a - b)) {
     const text = variable.flags[flag], n = count(flag);
-    if (n) found.push({ text, shape: "patch", colour: variable.colours[flag], share: percent(n / values.length), why: variable.name === "regime" && meanings[text] });
+    if (n) found.push({ text, ...look, colour: variable.colours[flag], share: percent(n / values.length), why: variable.name === "regime" && meanings[text] });
   }
   if (page.shown.y && values.some(Number.isNaN) && !values.every(Number.isNaN)) found.push({ text: "no value", shape: "patch", colour: "hatched" });
   if (page.among) found.push({ text: "other motions", shape: "patch", colour: "grid" });

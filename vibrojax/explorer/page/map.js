@@ -1,7 +1,7 @@
 // The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
 import { drawItems } from "./figure.js";
 import { edgesOf, labelOf } from "./grid.js";
-import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, prepared } from "./plots.js";
+import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, markColour, prepared } from "./plots.js";
 
 export const DASHES = {
   fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
@@ -36,10 +36,13 @@ export class MapView {
     let frame = null;
     if (!x) prepared(canvas);
     else if (!y) frame = this.drawCurve(canvas, x, variable, ink);
-    else if (x.column === x.axis) frame = this.drawCells(canvas, x, y, variable, ink);
+    else if (this.hasCells) frame = this.drawCells(canvas, x, y, variable, ink);
     else frame = this.drawDots(canvas, x, y, variable, ink);
     if (canvas === this.canvas) Object.assign(this, { frame, ink });
   }
+
+  /** Whether the view has cells, not dots or a curve. */
+  get hasCells() { return this.view.y && this.view.x.column === this.view.x.axis; }
 
   /** The cell with other indices along some axes. */
   cellAt(changes) {
@@ -47,8 +50,8 @@ export class MapView {
   }
 
   /** The colour of a cell; one that the map is not limited to has that of the grid. */
-  colourAt(variable, cell, ink) {
-    return this.view.only && !this.view.only(cell) ? ink.grid : this.grid.colour(variable, this.grid.value(variable.name, cell), ink.undefined);
+  colourAt(variable, cell, ink, colour = (grid, variable, value) => grid.colour(variable, value, ink.undefined)) {
+    return this.view.only && !this.view.only(cell) ? ink.grid : colour(this.grid, variable, this.grid.value(variable.name, cell), ink);
   }
 
   axisOf(direction) {
@@ -202,7 +205,7 @@ export class MapView {
     return framed(canvas, ink, of(x, xs), of(y, ys), (c, sx, sy) => {
       xs.forEach((value, k) => {
         const cell = this.cellAt({ [x.axis.name]: k });
-        mark(c, "o", sx(value), sy(ys[k]), size, this.colourAt(variable, cell, ink), ink.faint);
+        mark(c, "o", sx(value), sy(ys[k]), size, this.colourAt(variable, cell, ink, markColour), ink.faint);
       });
     });
   }
@@ -231,7 +234,7 @@ export class MapView {
       } else if (!flags && column.numeric) line(c, xs, rows, sx, sy, ink.bit, 1.4);
       const size = family ? 1.6 : Math.max(1.8, Math.min(4.5, 700 / xs.length));
       xs.forEach((value, k) => {
-        const colour = family ? ink.ink : flags ? grid.colour(variable, ys[k], ink.undefined) : ink.bit;
+        const colour = family ? ink.ink : flags ? markColour(grid, variable, ys[k], ink) : ink.bit;
         if (Number.isFinite(rows[k]) && rows[k] >= (flags ? 0 : -Infinity)) mark(c, "o", sx(value), sy(rows[k]), size, colour, flags ? ink.faint : null);
       });
       for (const one of family?.special ?? []) mark(c, one.shape, sx(xs[one.point]), sy(rows[one.point]), 4.5, legible(family.kinds[one.kind], ink), ink.plate);
@@ -254,7 +257,7 @@ export class MapView {
     this.dots = { xs, ys, index, axis: axis.name };
     const { overlay } = grid.data, over = overlay?.variable === variable.name && overlay.along === axis.name ? overlay.items : [];
     const across = { limits: limitsOf([column.numeric ? column.values.map((v) => v * column.factor) : xs], 0.03), label: labelOf(column), log: column.log };
-    const colours = axis.values.map((_, k) => (regime ? grid.colour(regime, grid.value("regime", this.cellAt({ [axis.name]: k })), ink.undefined) : ink.bit));
+    const colours = axis.values.map((_, k) => (regime ? markColour(grid, regime, grid.value("regime", this.cellAt({ [axis.name]: k })), ink) : ink.bit));
     return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy, box) => {
       const size = Math.max(1.2, Math.min(3.2, (0.36 * (box.right - box.left)) / axis.values.length));  // neighbours do not merge
       const rim = xs.length < 300 ? ink.faint : null;  // rims of many would hide their colours
@@ -267,7 +270,7 @@ export class MapView {
   at(px, py) {
     const { frame, view } = this;
     if (!frame || px < frame.box.left || px > frame.box.right || py < frame.box.top || py > frame.box.bottom) return null;
-    if (view.y && view.x.column === view.x.axis) {
+    if (this.hasCells) {
       const index = (direction, value) => {
         const { edges } = edgesOf(direction.column);
         const k = edges.findIndex((edge, i) => i > 0 && (value - edges[i - 1]) * (value - edge) <= 0) - 1;
@@ -287,7 +290,7 @@ export class MapView {
   moved(dx, dy) {
     const { x, y, cell } = this.view;
     const step = (axis, by) => Math.max(0, Math.min(axis.values.length - 1, cell[axis.name] + by));
-    if (y && x.column === x.axis) {
+    if (this.hasCells) {
       const way = (direction) => (edgesOf(direction.column).values.at(-1) >= edgesOf(direction.column).values[0] ? 1 : -1);
       return this.cellAt({ [x.axis.name]: step(x.axis, dx * way(x)), [y.axis.name]: step(y.axis, dy * way(y)) });
     }
@@ -313,7 +316,7 @@ export class MapView {
     c.clip();
     for (const [cell, strong] of [[hover, false], [view.cell, true]]) {
       if (!cell) continue;
-      if (view.y && view.x.column === view.x.axis) {
+      if (this.hasCells) {
         const ends = (direction, scale) => { const { edges } = edgesOf(direction.column), k = cell[direction.axis.name]; return [scale(edges[k]), scale(edges[k + 1])]; };
         const [x0, x1] = ends(view.x, frame.x), [y0, y1] = ends(view.y, frame.y);
         const [left, top, wide, high] = [Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)];

@@ -30,11 +30,24 @@ function hatched(ground, colour) {
 const partsOf = (colour) => [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
 const brightness = (colour) => partsOf(colour).reduce((sum, x) => sum + x, 0) / 765;
 
+const luminance = (colour) => partsOf(colour).map((x) => (x / 255) ** 2.2).reduce((sum, x, k) => sum + [0.2126, 0.7152, 0.0722][k] * x, 0);
+const contrast = (colour, ground) => (luminance(colour) + 0.05) / (luminance(ground) + 0.05);
+
 /** A colour of the pictures; where it would not be seen on the plate, mixed with the ink, or the ink in place of a grey. */
 export function legible(colour, ink) {
-  if (Math.abs(brightness(colour) - brightness(ink.plate)) >= 0.2) return colour;
+  const dark = brightness(ink.plate) < 0.5, seen = dark ? contrast(colour, ink.plate) >= 3 : Math.abs(brightness(colour) - brightness(ink.plate)) >= 0.2;
+  if (seen) return colour;
   const own = partsOf(colour), to = partsOf(ink.ink);
   return Math.max(...own) - Math.min(...own) < 40 ? ink.ink : `#${own.map((x, k) => Math.round((x + to[k]) / 2).toString(16).padStart(2, "0")).join("")}`;
+}
+
+/** The legible colour of marks with a label; the greys of several labels would be the same ink, and remain with their rims. */
+const labelColour = (colour, ink) => { const own = legible(colour, ink); return own === ink.ink ? colour : own; };
+
+/** The colour of a value's mark; those of a scale keep their order. */
+export function markColour(grid, variable, value, ink) {
+  const colour = grid.colour(variable, value, ink.undefined);
+  return variable.flags && colour !== ink.undefined ? labelColour(colour, ink) : colour;
 }
 
 /** A number as it is read: `digits` significant ones, a true minus, no trailing noise. */
@@ -241,12 +254,12 @@ export function mark(c, kind, x, y, size, colour, edge) {
 export const signWidth = ({ shape }) => ({ line: 28, scale: 60 }[shape] ?? 14);
 
 /**
- * What stands before an entry {text, shape: "line", "patch", "scale" or a mark, colour, dash, marker: on the line, hollow,
+ * What stands before an entry {text, shape: "line", "patch", "scale" or a mark, colour, dash, marker: on the line, hollow, rim,
  * colours: of a scale} of a legend, 14 high at a place: as it stands in the plot.
  */
 export function drawSign(c, key, left, top, ink) {
-  const { shape, colour, colours, dash, marker, hollow, size = 3 } = key, wide = signWidth(key), own = ink[colour] ?? legible(colour, ink), y = top + 7, middle = left + wide / 2;
-  const spot = (kind) => mark(c, kind, middle, y, Math.max(2.4, Math.min(5.4, (4 / 3) * size)), hollow ? ink.plate : own, hollow ? own : null);
+  const { shape, colour, colours, dash, marker, hollow, size = 3 } = key, wide = signWidth(key), own = ink[colour] ?? (key.rim ? labelColour : legible)(colour, ink), y = top + 7, middle = left + wide / 2;
+  const spot = (kind) => mark(c, kind, middle, y, Math.max(2.4, Math.min(5.4, (4 / 3) * size)), hollow ? ink.plate : own, hollow ? own : key.rim ? ink.faint : null);
   if (shape === "line") {
     line(c, [left + 1, left + wide - 1], [y, y], (x) => x, (x) => x, own, 2, dash);
     if (marker) spot(marker);

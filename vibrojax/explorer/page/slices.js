@@ -4,7 +4,7 @@ import { el } from "./dom.js";
 import { labelOf } from "./grid.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
-import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, read } from "./plots.js";
+import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, markColour, read } from "./plots.js";
 
 /** Draw the slices of a page's map into its element. */
 export function drawSlices(page) {
@@ -44,7 +44,7 @@ function drawSlice(page, figure, direction, other) {
     if (!variable.flags && column.numeric) line(c, xs, ys, sx, sy, ink.faint, 1.2);
     read("", xs, ys, { texts: values.map((value) => grid.valueText(variable, value)) });
     xs.forEach((value, i) => {
-      if (Number.isFinite(ys[i])) mark(c, "o", sx(value), sy(ys[i]), size, grid.colour(variable, values[i], ink.undefined), size > 2.2 ? ink.faint : null);
+      if (Number.isFinite(ys[i])) mark(c, "o", sx(value), sy(ys[i]), size, markColour(grid, variable, values[i], ink), size > 2.2 ? ink.faint : null);
     });
     if (paper.source) return;  // a file shows no cursor
     const here = sx(xs[page.cell[direction.axis.name]]);
