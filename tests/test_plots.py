@@ -22,7 +22,7 @@ from vibrojax.pictures.colours import REGIME_COLOURS
 from vibrojax.pictures.contents import Contents, returns_in
 from vibrojax.pictures.draw import draw
 from vibrojax.pictures.hole import pulses
-from vibrojax.pictures.motion import trajectory
+from vibrojax.pictures.motion import states_over_time, trajectory
 from vibrojax.pictures.plots import Area, Bars, Points, Text
 from vibrojax.pictures.returns import bifurcation
 from vibrojax.pictures.style import NO_VALUE
@@ -324,6 +324,20 @@ def test_unusual_runs_are_drawn_or_refused():
     for ds, message in ((run().drop_vars("v2"), "v2"), (run().isel(time=slice(5)), "5 finite samples")):
         with pytest.raises(InputError, match=message):
             trajectory(ds)
+
+
+def test_states_jump_at_impacts_between_samples():
+    """x = 1 - |t - 10.3| hits a stop at x = 1: the velocity jumps and the marker lies there, beside a section."""
+    time = np.arange(32.0)
+    meanings = {"flag_values": [0, 1], "flag_meanings": "impact section"}
+    hits = {"event_time": ("event", [10.3, 11.2]), "event_kind": ("event", [0, 1], meanings)}
+    states = {"x": ("time", 1.0 - np.abs(time - 10.3)), "v": ("time", np.sign(10.3 - time))}
+    x_plot, v_plot, portrait = states_over_time(xr.Dataset(states | hits | {"period": 3.0}, {"time": time})).plots
+    _, late = portrait.layers
+    jump = np.flatnonzero(np.diff(np.round(late.y)))
+    np.testing.assert_allclose([*x_plot.layers[1].y, *late.x[[jump, jump + 1]].ravel()], 1.0, rtol=1e-12)
+    np.testing.assert_allclose(v_plot.layers[0].x[[jump, jump + 1]].ravel(), 10.3)
+    assert np.ptp(late.x + np.abs(v_plot.layers[0].x - 10.3)) < 1e-12
 
 
 def test_long_run_on_rock_shows_its_last_blows():

@@ -18,7 +18,7 @@ from vibrojax.io.attributes import parameters_of
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.record import Record, SampledMotion, events, record_batch, sample, states_shown
 from vibrojax.lazy import jax
-from vibrojax.pictures.motion import unsettled_text
+from vibrojax.pictures.motion import unsettled_text, with_events
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
@@ -299,43 +299,6 @@ def cell_of_record(scene: Scene[Any], record: Record, moments: Moments, excerpt:
 
 
 # Of a trajectory.
-
-
-def with_events(motion: xr.Dataset) -> tuple[Samples, dict[str, xr.DataArray]]:
-    """Return the times of a trajectory and its variables along them, with two more samples at each event.
-
-    These are the values before and after the event, each extrapolated from up to three samples on its side. If events
-    lie between the same two samples, the values are those before the first and after the last of them.
-    """
-    time, data = motion["time"].values, {str(n): x for n, x in motion.data_vars.items() if x.dims == ("time",)}
-    data = {name: x for name, x in data.items() if x.dtype.kind == "f"}
-    moments = motion["event_time"].values if "event_time" in motion else np.zeros(0)
-    moments = np.unique(moments[(moments > time[0]) & (moments <= time[-1])])
-    after, first = np.unique(np.searchsorted(time, moments), return_index=True)
-    if not len(after) or not data:
-        return time, data
-    last = np.append(first[1:], len(moments)) - 1
-    values = np.stack([x.values for x in data.values()])
-    bounds = [0, *after, len(time)]
-    sides = [
-        _extrapolated(time[part], values[:, part], moments[event])
-        for k in range(len(after))
-        for part, event in (
-            (slice(max(bounds[k], after[k] - 3), after[k]), first[k]),
-            (slice(after[k], min(bounds[k + 2], after[k] + 3)), last[k]),
-        )
-    ]
-    places = np.repeat(after, 2)
-    whole = np.insert(values, places, np.stack(sides, axis=1), axis=1)
-    times = np.insert(time, places, moments[np.stack([first, last], axis=1).ravel()])
-    return times, {n: xr.DataArray(x, dims="time", attrs=data[n].attrs) for n, x in zip(data, whole, strict=True)}
-
-
-def _extrapolated(times: Samples, values: np.ndarray, at: float) -> np.ndarray:
-    """Return the polynomial through values (states, samples) at a time."""
-    away = times[:, None] - times + np.eye(len(times))
-    weights = np.prod(np.where(np.eye(len(times)) == 1, 1.0, (at - times) / away), axis=1)
-    return values @ weights
 
 
 def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:

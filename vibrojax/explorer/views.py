@@ -17,7 +17,7 @@ from vibrojax.explorer.document import Document
 from vibrojax.explorer.encoding import Cell, pack
 from vibrojax.explorer.map_view import REPEAT_MARGIN, lane_cells, map_document, overlay_document
 from vibrojax.explorer.plots_view import figure_document
-from vibrojax.explorer.recording import Excerpt, cell_of, record_cells, with_events
+from vibrojax.explorer.recording import Excerpt, cell_of, record_cells
 from vibrojax.io.attributes import flags, parameters_of, run_of, text_of
 from vibrojax.io.dataset import check_dataset
 from vibrojax.io.kinds import kind_of
@@ -31,6 +31,7 @@ from vibrojax.pictures import branches
 from vibrojax.pictures.axes import symbols_of
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.contents import FORM, START, long_axes
+from vibrojax.pictures.motion import with_events
 from vibrojax.pictures.overlays import axes_of
 from vibrojax.pictures.starts import described
 from vibrojax.progress import LOG
