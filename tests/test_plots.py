@@ -22,6 +22,7 @@ from vibrojax.pictures.colours import REGIME_COLOURS
 from vibrojax.pictures.contents import Contents, returns_in
 from vibrojax.pictures.draw import draw
 from vibrojax.pictures.hole import pulses
+from vibrojax.pictures.maps import region
 from vibrojax.pictures.motion import states_over_time, trajectory
 from vibrojax.pictures.plots import Area, Bars, Points, Text
 from vibrojax.pictures.returns import bifurcation
@@ -324,6 +325,15 @@ def test_unusual_runs_are_drawn_or_refused():
     for ds, message in ((run().drop_vars("v2"), "v2"), (run().isel(time=slice(5)), "5 finite samples")):
         with pytest.raises(InputError, match=message):
             trajectory(ds)
+
+
+def test_best_region_is_open_where_the_map_cuts_it():
+    gamma, beta = (
+        xr.DataArray(ends, dims=name, name=name) for name, ends in (("gamma", [0.5, 0.7]), ("beta", [0.1, 0.9]))
+    )
+    (line,) = region(gamma, beta)
+    np.testing.assert_array_equal(line.x, [0.6, 0.7, np.nan, 0.7, 0.6, 0.6])
+    np.testing.assert_array_equal(line.y, [0.25, 0.25, np.nan, 0.6, 0.6, 0.25])
 
 
 def test_states_jump_at_impacts_between_samples():

@@ -82,15 +82,19 @@ def maps_of(
 
 
 def region(x: xr.DataArray, y: xr.DataArray) -> list[Line]:
-    """Return the border of the source's region of best single impacts, closed at the edge of the map."""
+    """Return the border of the source's region of best single impacts, open where the map cuts it."""
     if {x.name, y.name} != set(REGION):
         return []
-    ends = (np.clip(REGION[str(data.name)], float(data.min()), float(data.max())) for data in (x, y))
-    (west, east), (south, north) = (pair.tolist() for pair in ends)
-    if west >= east or south >= north:
+    (west, east), (south, north) = (REGION[str(data.name)] for data in (x, y))
+    xs, ys = np.array([west, east, east, west, west]), np.array([south, south, north, north, south])
+    across, up = (np.clip(at, float(data.min()), float(data.max())) for at, data in ((xs, x), (ys, y)))
+    if not (np.ptp(across) and np.ptp(up)):
         return []
-    corners = [west, east, east, west, west], [south, south, north, north, south]
-    return [Line(*corners, width=1.3, halo=0.85, label="source's best region", order=3.0)]
+    # A side that the map cuts off is moved at both of its ends.
+    cut = [(a != b)[:-1] & (a != b)[1:] & (np.diff(a) == 0) for a, b in ((xs, across), (ys, up))]
+    gaps = 1 + np.flatnonzero(cut[0] | cut[1])
+    path = np.insert(across, gaps, np.nan), np.insert(up, gaps, np.nan)
+    return [Line(*path, width=1.3, halo=0.85, label="source's best region", order=3.0)]
 
 
 def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: Sequence[xr.Dataset] = ()) -> Sheet:
