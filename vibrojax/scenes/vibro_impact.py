@@ -110,7 +110,7 @@ class VibroImpact(Rotary, HasContact[Any]):
 
     def impact_noise(self, c: Any, mode: Values) -> Any:
         # A small multiple of the rounding error of the position, for a striker that meets the bit at the drive speed.
-        reach = jnp.abs(c.contact.delta) + jnp.sqrt(c.drill.m2 / c.contact.k0) * c.drill.slip.v
+        reach = jnp.abs(c.contact.delta) + jnp.sqrt(c.drill.m2 / c.contact.k0) * c.drill.v
         return mode[1] * (ROUNDINGS * jnp.finfo(c.contact.k0.dtype).eps * c.contact.k0 * reach)
 
     def stored(self, c: Any, state: Values) -> Any:
