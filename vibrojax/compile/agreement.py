@@ -199,11 +199,31 @@ def _by_xla(equation: Any, values: Sequence[Any]) -> list[Any]:
 
 def _is_exact(equation: Any) -> bool:
     """Return whether numpy's result has the bits of XLA's, given that numpy has a rule for the primitive."""
-    return all(var.aval.dtype in EXACT_TYPES for var in (*equation.invars, *equation.outvars))
+    name, types = equation.primitive.name, [var.aval.dtype for var in (*equation.invars, *equation.outvars)]
+    if not EXACT_TYPES.issuperset(types):
+        return False
+    if name == "convert_element_type":
+        return types[0].kind != "f" or types[-1].kind == "f"  # what becomes of NaN as an integer is undefined
+    return types[0].kind != "i" or name not in NOT_OF_INTEGERS
 
 
-EXACT_TYPES = {*map(np.dtype, ("float64", "float32", "bool"))}
+EXACT_TYPES = {*map(np.dtype, ("float64", "float32", "int64", "int32", "bool"))}
 """Types with which numpy computes like XLA."""
+
+NOT_OF_INTEGERS = (
+    "div",
+    "rem",
+    "abs",
+    "neg",
+    "sqrt",
+    "floor",
+    "ceil",
+    "is_finite",
+    "select_n",
+    "reduce_and",
+    "reduce_or",
+)
+"""Primitives for whose integers, or choices by integers, numpy has other results or types."""
 
 
 def _of(function: Callable[..., Any]) -> Callable[..., Any]:
