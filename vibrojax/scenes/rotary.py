@@ -99,10 +99,12 @@ def _rearm(c: Any) -> Any:
     return -ARMED_BELOW * c.drill.v
 
 
-class RotaryConstants(NamedTuple):
-    """Constants of the two masses."""
+class Constants(NamedTuple):
+    """Constants of the two masses and, in scenes that have them, of the contact and of the bit on the rock."""
 
     drill: DrillConstants
+    contact: Any = None
+    rock: Any = None
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class Rotary(HasFriction[Any]):
         return {**self.own_parameters, **self.friction.parameters}
 
     def constants(self, p: Mapping[str, Any]) -> Any:
-        return RotaryConstants(drill_constants(p, self.friction))
+        return Constants(drill_constants(p, self.friction))
 
     def rate(self, c: Any, mode: Values) -> Any:
         return self.flight_rate(c)
