@@ -101,14 +101,20 @@ COMPARED = ("test_trust.py", "test_own_objects.py", "test_random_systems.py")
 OPTIMIZED = ("test_trust.py", "test_hard_faults.py")
 """Files whose kernels are compiled with optimization. Those of the second are also the ones of processes."""
 
-OWN_PACKAGES = trust.OWN_PACKAGES
-TEST_MODULES = tuple(name for path in Path(__file__).parent.rglob("*.py") for name in (path.stem, path.parent.name))
+is_foreign = trust.is_foreign
+
+
+def is_never_foreign(code):
+    return False
+
+
+is_never_foreign.__module__ = trust.__name__
 
 
 def pytest_runtest_setup(item):
     """Trust kernels of the tests' own code elsewhere: a comparison takes half of the time of a test of a system."""
     compared = item.path.name in COMPARED or item.get_closest_marker("compared")
-    trust.OWN_PACKAGES = OWN_PACKAGES if compared else OWN_PACKAGES + TEST_MODULES
+    trust.is_foreign = is_foreign if compared else is_never_foreign
     of_kernels = item.path.name in OPTIMIZED or item.path.parent.name == "kernels"
     native.CODE_LEVEL = 2 if of_kernels else item.config.getoption("--code-level")
 

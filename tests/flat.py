@@ -8,7 +8,7 @@ class Flat(dict):
         super().__init__(_flat(constants))
         self.constants = constants
         if "weight" in self:
-            self["g"] = self["weight"] * self["inverse_mass"]
+            self["g"] = self["weight"] * self["inverse_m1"]
 
 
 def _flat(constants) -> dict:

@@ -15,7 +15,7 @@ from refusals import command_refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.untrusted import check_store
+from vibrojax.io.trust import check_store
 
 SAMPLES = sorted((Path(__file__).parent / "data" / "versions").glob("*/*.nc"))
 RATES = next(path for path in SAMPLES if path.name == "rates.nc")

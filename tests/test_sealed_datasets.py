@@ -15,7 +15,7 @@ import pytest
 import xarray as xr
 
 import vibrojax as vj
-from vibrojax.io import seal, untrusted
+from vibrojax.io import trust
 
 DATA = Path(__file__).parent / "data"
 RATES = DATA / "versions" / "0.1.0" / "rates.nc"
@@ -89,36 +89,36 @@ def test_edited_datasets_open(written, rates):
         np.testing.assert_array_equal(selected[name].values, edited[name].values)
     assert selected.attrs["title"] == "mine"
     vj.write_dataset(selected, written.with_name(f"selected{written.suffix}"))
-    assert seal.is_own(written.with_name(f"selected{written.suffix}"))
+    assert trust.is_own(written.with_name(f"selected{written.suffix}"))
 
 
 def test_dataset_without_secret_is_read_as_unknown(rates, tmp_path, monkeypatch):
     """Another user's dataset opens with the same values, after a check in a process of its own."""
     vj.write_dataset(rates, tmp_path / "rates.nc")
     monkeypatch.setenv("VIBROJAX_CACHE", str(tmp_path / "another"))
-    seal._secret.cache_clear()
+    trust._secret.cache_clear()
     try:
-        assert not seal.is_own(tmp_path / "rates.nc")
+        assert not trust.is_own(tmp_path / "rates.nc")
         xr.testing.assert_identical(vj.open_dataset(tmp_path / "rates.nc"), rates)
     finally:
-        seal._secret.cache_clear()
+        trust._secret.cache_clear()
 
 
 @pytest.mark.parametrize("private", [True, False])
 def test_secret_is_private(private, tmp_path, monkeypatch):
     monkeypatch.setenv("VIBROJAX_CACHE", str(tmp_path / "cache"))
-    secret = seal._secret.__wrapped__()
+    secret = trust._secret.__wrapped__()
     path = tmp_path / "cache" / "seal"
     assert len(secret) == 32 and path.stat().st_mode & 0o777 == 0o600 and len(list(path.parent.iterdir())) == 1
     path.chmod(0o600 if private else 0o640)
-    assert seal._secret.__wrapped__() == (secret if private else None)
+    assert trust._secret.__wrapped__() == (secret if private else None)
     monkeypatch.setenv("VIBROJAX_CACHE", "off")
-    assert seal._secret.__wrapped__() is None
+    assert trust._secret.__wrapped__() is None
 
 
 def test_looping_file_leaves_no_lock(rates, tmp_path, monkeypatch):
     """The patch only shortens the wait."""
-    monkeypatch.setattr(untrusted, "PROCESSOR_SECONDS", 1.0)
+    monkeypatch.setattr(trust, "PROCESSOR_SECONDS", 1.0)
     content = bytearray(RATES.read_bytes())
     content[LOOPING : LOOPING + 64] = bytes(64)
     (tmp_path / "damaged.nc").write_bytes(content)

@@ -10,9 +10,9 @@ import pytest
 from jax import lax
 
 import vibrojax as vj
-from vibrojax.compile import KernelRefused, elementwise, trust
+from vibrojax.compile import elementwise, trust
 from vibrojax.compile.native import kernels
-from vibrojax.compile.trust import is_foreign
+from vibrojax.compile.trust import KernelRefused, is_foreign
 from vibrojax.lanes.agreement import Comparison, lanes_of
 from vibrojax.lanes.programs import ProgramKey
 from vibrojax.measures import recorder_for

@@ -25,13 +25,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from test_sweep_against_simulate import DRILLS, columns, run_points  # noqa: E402
 
-from vibrojax.compile import (  # noqa: E402
-    Untranslatable,
-    agreement,
-    elementwise,
-    native,
-    xla,
-)
+from vibrojax.compile import agreement, elementwise, native, xla  # noqa: E402
+from vibrojax.compile.assembly import Untranslatable  # noqa: E402
 from vibrojax.compile.elementwise import NUMBERS, Rule  # noqa: E402
 from vibrojax.compile.native import kernels  # noqa: E402
 from vibrojax.errors import InputError  # noqa: E402

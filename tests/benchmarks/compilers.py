@@ -20,7 +20,8 @@ PROGRAM = """
 import sys
 import vibrojax as vj
 if sys.argv[1] == "XLA":
-    from vibrojax.compile import Untranslatable, trust
+    from vibrojax.compile import trust
+    from vibrojax.compile.assembly import Untranslatable
     from vibrojax.lanes import compiler
     def refuse(*arguments, **options):
         raise Untranslatable("measured without kernels")

@@ -8,9 +8,10 @@ from jax import lax
 
 import vibrojax as vj
 from tests.kernels.test_kernel import assert_matches_xla
-from vibrojax.compile import reference
-from vibrojax.compile.foreign import TESTED, needs_comparison
+from vibrojax.compile import agreement
+from vibrojax.compile.control import CALLS, called
 from vibrojax.compile.native import trace
+from vibrojax.compile.translation import TESTED, needs_comparison
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 1e300, -1e-300, np.inf, -np.inf, np.nan, 3.0]
 FLOATS = np.array(SPECIAL + list(np.random.default_rng(3).normal(size=52)))
@@ -52,7 +53,7 @@ def test_rules_have_bits_of_xla(name, dtype):
     x, y = (np.where(np.abs(z) < np.finfo(dtype).tiny, 0.0, z).astype(dtype) for z in (x, y))
     with jax.debug_nans(False):
         traced = jax.jit(CASES[name]).trace(x, y)
-        values = reference.evaluate(traced.jaxpr, x, y)
+        values = agreement.reference_values(traced.jaxpr, x, y)
         by_xla = jax.core.eval_jaxpr(traced.jaxpr.jaxpr, traced.jaxpr.consts, x, y)
     for value, other in zip(values, by_xla, strict=True):
         assert np.asarray(value).dtype == other.dtype
@@ -65,12 +66,12 @@ def test_every_rule_is_tested():
     def add(jaxpr):
         for equation in jaxpr.eqns:
             used.add(equation.primitive.name)
-            if equation.primitive.name in reference.CALLS:
-                add(equation.params[reference.CALLS[equation.primitive.name]].jaxpr)
+            if equation.primitive.name in CALLS:
+                add(called(equation).jaxpr)
 
     for function in CASES.values():
         add(jax.make_jaxpr(function)(FLOATS, OTHERS).jaxpr)
-    assert set(reference.RULES) - used <= {"stack", "stop_gradient"}  # primitives of some versions of jax
+    assert set(agreement.EXACT_RULES) - used <= {"stack", "stop_gradient"}  # primitives of some versions of jax
 
 
 # Which foreign code is compared with XLA at run time

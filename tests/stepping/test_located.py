@@ -120,7 +120,7 @@ def test_steps_land_exactly_on_surfaces(motion):
 def free_top():
     """Return the time of the striker's first turn at the top without contact, with x1 and x2 there."""
     _, steps = run_lane("stuck", 2.0, delta=1.0)
-    first = np.flatnonzero(steps.hits[:, 3] & steps.falling[:, 1])[0]
+    first = np.flatnonzero(steps.hits[:, 3] & (steps.polynomials[:, 3, 0] > 0))[0]
     x1, _, x2, _ = steps.after[first]
     return steps.start[first] + steps.dt[first], x1, x2
 

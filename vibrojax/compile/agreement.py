@@ -1,15 +1,17 @@
 """Numerical agreement of a kernel with XLA, and of compiled elementary functions with numpy.
 
-XLA evaluates the same function one instruction at a time, for all lanes at once; numpy takes its place for instructions
-that both compute to the same bits (see [vibrojax.compile.reference][]). This takes about a second; compiling the
-function as one XLA program would take about ten.
+XLA evaluates the same function one instruction at a time, for all lanes at once, without any code of the kernels. This
+takes about a second; compiling the function as one XLA program would take about ten. XLA compiles a program for each
+kind of instruction, which takes far longer than to run it. numpy therefore evaluates the instructions whose results are
+determined to the last bit: arithmetic that IEEE 754 rounds correctly, comparisons, choices, and arrangements of array
+elements. The tests compare both.
 
 Rounding errors differ between kernel and XLA, and are amplified near a switch between modes or by cancellation. The
 kernel is therefore also run on arguments that are perturbed by a few units of rounding. A difference from XLA counts
 only if it is large compared with the changes that these perturbations cause.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from inspect import signature
 from typing import Any, NamedTuple
@@ -17,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.compile import reference
 from vibrojax.compile.assembly import LANES
+from vibrojax.compile.control import CALLS, called
 from vibrojax.compile.native import Kernel, trace
 from vibrojax.errors import InputError
 from vibrojax.lazy import jax
@@ -78,7 +80,7 @@ def first_difference(function: Callable[..., Any], kernel: Kernel, *arguments: A
     variables = traced.jaxpr.invars
     leaves = [np.asarray(x, var.aval.dtype) for x, var in zip(jax.tree.leaves(arguments), variables, strict=True)]
     with jax.debug_nans(False):  # features of lanes without a section crossing are NaN
-        by_xla = reference.evaluate(traced, *leaves)
+        by_xla = reference_values(traced, *leaves)
     for (path, value), other, change in zip(by_kernel, by_xla, changes, strict=True):
         relative = _relative_difference(value, np.asarray(other), change)
         if relative > 0:
@@ -148,6 +150,144 @@ def _distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore", over="ignore"):
         same = (x == y) | (np.isnan(x) & np.isnan(y))
         return np.where(same, 0, np.where(np.isfinite(x) & np.isfinite(y), np.abs(x - y), np.inf))
+
+
+def reference_values(closed: Any, *arguments: Any) -> list[Any]:
+    """Return the results of a closed jaxpr for arrays with the types of its arguments."""
+    jaxpr = closed.jaxpr
+    known = dict(zip((*jaxpr.constvars, *jaxpr.invars), (*closed.consts, *arguments), strict=True))
+    for equation in jaxpr.eqns:
+        name, rule = equation.primitive.name, EXACT_RULES.get(equation.primitive.name)
+        values = [np.asarray(x.val, x.aval.dtype) if hasattr(x, "val") else known[x] for x in equation.invars]
+        if name in CALLS:
+            results = reference_values(called(equation), *values)
+        elif name == "scan" and "num_consts" in equation.params:  # other versions of jax describe loops otherwise
+            results = _scan(equation, values)
+        elif rule is not None and _is_exact(equation):
+            with np.errstate(all="ignore"):
+                result = rule(equation.params, *values)
+            results = result if equation.primitive.multiple_results else [result]
+        else:
+            results = _by_xla(equation, values)
+        known |= dict(zip(equation.outvars, results, strict=True))
+    return [np.asarray(x.val, x.aval.dtype) if hasattr(x, "val") else known[x] for x in jaxpr.outvars]
+
+
+def _scan(equation: Any, values: Sequence[Any]) -> list[Any]:
+    """Return the results of a loop over the first axis of some arguments, see `jax.lax.scan`."""
+    params = equation.params
+    fixed, last = params["num_consts"], params["num_consts"] + params["num_carry"]
+    carry, rows = list(values[fixed:last]), []
+    for row in sorted(range(params["length"]), reverse=params["reverse"]):
+        results = reference_values(
+            params["jaxpr"], *values[:fixed], *carry, *(np.asarray(x)[row] for x in values[last:])
+        )
+        carry = results[: params["num_carry"]]
+        rows.append(results[params["num_carry"] :])
+    rows = rows[::-1] if params["reverse"] else rows
+    if not rows:
+        return [*carry, *(np.zeros(var.aval.shape, var.aval.dtype) for var in equation.outvars[len(carry) :])]
+    return [*carry, *map(np.stack, zip(*rows, strict=True))]
+
+
+def _by_xla(equation: Any, values: Sequence[Any]) -> list[Any]:
+    """Return the results of one equation of a jaxpr for given arguments."""
+    primitive = equation.primitive
+    results = primitive.bind(*values, **primitive.get_bind_params(equation.params))
+    return list(map(np.asarray, results if primitive.multiple_results else [results]))
+
+
+def _is_exact(equation: Any) -> bool:
+    """Return whether numpy's result has the bits of XLA's, given that numpy has a rule for the primitive."""
+    name, types = equation.primitive.name, [var.aval.dtype for var in (*equation.invars, *equation.outvars)]
+    if not EXACT_TYPES.issuperset(types):
+        return False
+    if name == "convert_element_type":
+        return types[0].kind != "f" or types[-1].kind == "f"  # what becomes of NaN as an integer is undefined
+    return types[0].kind != "i" or name not in NOT_OF_INTEGERS
+
+
+EXACT_TYPES = {*map(np.dtype, ("float64", "float32", "int64", "int32", "bool"))}
+"""Types with which numpy computes like XLA."""
+
+NOT_OF_INTEGERS = (
+    "div",
+    "rem",
+    "abs",
+    "neg",
+    "sqrt",
+    "floor",
+    "ceil",
+    "is_finite",
+    "select_n",
+    "reduce_and",
+    "reduce_or",
+)
+"""Primitives for whose integers, or choices by integers, numpy has other results or types."""
+
+
+def _of(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the rule of a primitive that is a function of numpy."""
+    return lambda params, *x: function(*x)
+
+
+def _broadcast(params: Any, x: Any) -> Any:
+    lengths = dict(zip(params["broadcast_dimensions"], np.shape(x), strict=True))
+    spread = np.reshape(x, [lengths.get(axis, 1) for axis in range(len(params["shape"]))])
+    return np.broadcast_to(spread, params["shape"])
+
+
+def _slice(params: Any, x: Any) -> Any:
+    strides = params["strides"] or (1,) * np.ndim(x)
+    return x[tuple(map(slice, params["start_indices"], params["limit_indices"], strides))]
+
+
+def _iota(params: Any) -> Any:
+    shape, axis = params["shape"], params["dimension"]
+    numbers = np.arange(shape[axis], dtype=params["dtype"])
+    return np.broadcast_to(numbers.reshape([-1 if k == axis else 1 for k in range(len(shape))]), shape)
+
+
+EXACT_RULES: dict[str, Callable[..., Any]] = {
+    "add": _of(np.add),
+    "sub": _of(np.subtract),
+    "mul": _of(np.multiply),
+    "div": _of(np.divide),
+    "rem": _of(np.fmod),
+    "neg": _of(np.negative),
+    "abs": _of(np.abs),
+    "sqrt": _of(np.sqrt),
+    "floor": _of(np.floor),
+    "ceil": _of(np.ceil),
+    "max": _of(np.maximum),
+    "min": _of(np.minimum),
+    "is_finite": _of(np.isfinite),
+    "eq": _of(np.equal),
+    "ne": _of(np.not_equal),
+    "lt": _of(np.less),
+    "le": _of(np.less_equal),
+    "gt": _of(np.greater),
+    "ge": _of(np.greater_equal),
+    "and": _of(np.bitwise_and),
+    "or": _of(np.bitwise_or),
+    "xor": _of(np.bitwise_xor),
+    "not": _of(np.invert),
+    "select_n": _of(lambda which, no, yes: np.where(which, yes, no)),
+    "convert_element_type": lambda params, x: np.asarray(x).astype(params["new_dtype"]),
+    "broadcast_in_dim": _broadcast,
+    "slice": _slice,
+    "squeeze": lambda params, x: np.squeeze(x, tuple(params["dimensions"])),
+    "reshape": lambda params, x: np.reshape(x, params["new_sizes"]),
+    "transpose": lambda params, x: np.transpose(x, params["permutation"]),
+    "concatenate": lambda params, *x: np.concatenate(x, params["dimension"]),
+    "stack": lambda params, *x: np.stack(x, params["axis"]),
+    "optimization_barrier": lambda params, *x: list(x),
+    "reduce_and": lambda params, x: np.all(x, tuple(params["axes"])),
+    "reduce_or": lambda params, x: np.any(x, tuple(params["axes"])),
+    "iota": _iota,
+    "stop_gradient": lambda params, x: x,
+}
+"""Rules that take the parameters and arguments of an equation, and return its result or the list of its results."""
 
 
 ELEMENTARY_ROUNDINGS = 4

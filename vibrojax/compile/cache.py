@@ -60,19 +60,25 @@ class CacheRefused(Exception):
     """A folder or file was rejected because it is damaged or because another user may have written it."""
 
 
-def folder() -> Path | None:
-    """Return the folder of cached kernels, or None if the cache is off."""
+def user_folder() -> Path | None:
+    """Return the cache folder of this package, or None if the cache is off."""
     chosen = os.environ.get(CACHE_VARIABLE, "")
     if chosen.lower() in ("off", "0", "no", "none") or not hasattr(os, "geteuid"):
         return None
-    return (Path(chosen).expanduser() if chosen else user_cache_path("vibrojax", appauthor=False)) / "kernels"
+    return Path(chosen).expanduser() if chosen else user_cache_path("vibrojax", appauthor=False)
+
+
+def folder() -> Path | None:
+    """Return the folder of cached kernels, or None if the cache is off."""
+    path = user_folder()
+    return None if path is None else path / "kernels"
 
 
 def read(key: str) -> bytes | None:
     """Return the cached content of a key, or None if there is none that can be trusted."""
 
     def content(path: Path, where: int) -> bytes:
-        with os.fdopen(_open_own(path / key, stat.S_ISREG, os.O_NONBLOCK, where), "rb") as file:
+        with os.fdopen(open_own(path / key, stat.S_ISREG, os.O_NONBLOCK, where), "rb") as file:
             whole = file.read()
         if whole[:HEADER] != MAGIC + _digest(key, whole[HEADER:]):
             raise CacheRefused(f"{path / key}: is damaged, or does not belong under this name")
@@ -115,7 +121,7 @@ def _in_folder(use: Callable[[Path, int], T]) -> T | None:
         above = os.stat(path.parent)
         if above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX:
             raise CacheRefused(f"{path.parent}: others can write to it")
-        descriptor = _open_own(path, stat.S_ISDIR, os.O_DIRECTORY)
+        descriptor = open_own(path, stat.S_ISDIR, os.O_DIRECTORY)
         try:
             return use(path, descriptor)
         finally:
@@ -129,10 +135,17 @@ def _in_folder(use: Callable[[Path, int], T]) -> T | None:
     return None
 
 
-def _open_own(path: Path, is_kind: Callable[[int], bool], flags: int, where: int | None = None) -> int:
-    """Return the descriptor of a folder, or of a file in the folder with the descriptor `where`.
+def open_own(
+    path: Path,
+    is_kind: Callable[[int], bool],
+    flags: int = 0,
+    where: int | None = None,
+    refused: int = stat.S_IWGRP | stat.S_IWOTH,
+) -> int:
+    """Return the descriptor of a file or folder, or of a file in the folder with the descriptor `where`.
 
-    **Raises:** `CacheRefused` if others may have written it or if it is of another kind, `FileNotFoundError`.
+    **Raises:** `CacheRefused` if it belongs to another user, has one of the `refused` permissions, by default those of
+    others to write it, or is of another kind; `FileNotFoundError`.
     """
     flags |= os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
@@ -145,7 +158,7 @@ def _open_own(path: Path, is_kind: Callable[[int], bool], flags: int, where: int
     problems = {
         "is not a regular file": not is_kind(status.st_mode),
         "belongs to another user": status.st_uid != os.geteuid(),
-        "others can write to it": status.st_mode & (stat.S_IWGRP | stat.S_IWOTH),
+        "others can write to it": status.st_mode & refused,
     }
     for problem, applies in problems.items():
         if applies:

@@ -169,13 +169,22 @@ def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value],
     return places
 
 
+CALLS = ("jit", "custom_jvp_call", "custom_vjp_call")
+"""Primitives that call a function. jax caches the trace of a function, which may have had another caller."""
+
+
+def called(equation: Any) -> Any:
+    """Return the closed jaxpr of the function that an equation calls."""
+    return equation.params.get("jaxpr") or equation.params["call_jaxpr"]
+
+
 def _call(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:
-    return write(equation.params.get("jaxpr") or equation.params["call_jaxpr"], values, owned)
+    return write(called(equation), values, owned)
 
 
 RULES: dict[str, ControlRule] = {
     "while": _while,
     "scan": _scan,
     "cond": _branch,
-    **dict.fromkeys(("jit", "custom_jvp_call", "custom_vjp_call"), _call),
+    **dict.fromkeys(CALLS, _call),
 }

@@ -23,9 +23,8 @@ from jaxtyping import Int
 
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import LANES, Untranslatable, dtype_of, refuse_if, varies
-from vibrojax.compile.foreign import needs_comparison
 from vibrojax.compile.identity import digest
-from vibrojax.compile.translation import KernelText, kernel_text
+from vibrojax.compile.translation import KernelText, kernel_text, needs_comparison
 from vibrojax.compile.trees import flatten, unflatten
 from vibrojax.compile.xla import float_type
 from vibrojax.lazy import jax, jnp
@@ -192,11 +191,7 @@ class Kernel:
 
     def bind(self, *arguments: Any) -> "BoundKernel":
         """Return the kernel bound to arguments, to compute some lanes at a time."""
-        return self.bind_leaves(flatten(arguments)[0])
-
-    def bind_leaves(self, leaves: list[Any]) -> "BoundKernel":
-        """Return the kernel bound to the leaves of arguments; see `bind`."""
-        kinds = self.description.arguments
+        leaves, kinds = flatten(arguments)[0], self.description.arguments
         arrays = [
             np.ascontiguousarray(leaf, kind.dtype) if kind.varies else np.asarray(leaf, kind.dtype)
             for leaf, kind in zip(leaves, kinds, strict=True)

@@ -1,14 +1,23 @@
-"""Translation of a traced function to the LLVM IR of a kernel."""
+"""Translation of a traced function to the LLVM IR of a kernel, and whether the tests vouch for it.
 
+Each instruction of a trace is translated by itself. The tests compare the translation of arithmetic, comparisons,
+choices, elementary functions and arrangements of elements with XLA (`tests/kernels`). A foreign law or field that uses
+nothing else therefore needs no comparison of its own. Indices that depend on values, sums over arrays, loops and
+branches do: their translation depends on what surrounds them.
+"""
+
+import functools
+import os
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache, partial
 from math import prod
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax.compile import arrangement, control, elementwise, selection
+from vibrojax.compile import control, elementwise, rows
 from vibrojax.compile.assembly import (
     Assembly,
     Untranslatable,
@@ -148,7 +157,7 @@ def _copies(avals: Sequence[Any], arguments: int, workspace: int, alignment: int
     per_lane = 0
     # The widest numbers first, so that the rows of each array are aligned.
     for place, aval in sorted(enumerate(avals), key=lambda item: -dtype_of(item[1]).itemsize):
-        size, rows = dtype_of(aval).itemsize, prod(without_lanes(aval.shape))
+        size, count = dtype_of(aval).itemsize, prod(without_lanes(aval.shape))
         taken += [
             f"  %entry{place} = getelementptr ptr, ptr %arrays, i64 {place}",
             f"  %whole{place} = load ptr, ptr %entry{place}, align 8",
@@ -158,11 +167,11 @@ def _copies(avals: Sequence[Any], arguments: int, workspace: int, alignment: int
             f"  %place{place} = getelementptr ptr, ptr %packed, i64 {place}",
             f"  store ptr %{'lanes' if varies(aval) else 'whole'}{place}, ptr %place{place}, align 8",
         ]
-        if varies(aval) and rows:
-            call = f"ptr %lanes{place}, ptr %whole{place}, ptr %index, i64 %count, i64 %length, i64 {rows}"
+        if varies(aval) and count:
+            call = f"ptr %lanes{place}, ptr %whole{place}, ptr %index, i64 %count, i64 %length, i64 {count}"
             name, calls = ("take", taken) if place < arguments else ("put", put)
             calls.append(f"  call void @{name}{8 * size}({call})")
-            per_lane += size * rows
+            per_lane += size * count
     return "\n".join(taken), "\n".join(put), fixed, per_lane
 
 
@@ -188,7 +197,7 @@ def _write(asm: Assembly, closed: Any, values: Sequence[Value], owned: Collectio
         pairs = zip(arguments, equation.invars, strict=True)
         last = {id(x) for x, var in pairs if id(x) in owned and not _is_literal(var) and uses.get(var) == 1}
         results = _apply(asm, equation, arguments, last)
-        if last and equation.primitive.name in arrangement.RULES:
+        if last and equation.primitive.name in rows.ARRANGEMENTS:
             owned |= {id(x) for x in results}
         known |= dict(zip(equation.outvars, results, strict=True))
     return [value(var) for var in jaxpr.outvars]
@@ -226,7 +235,7 @@ def _is_literal(var: Any) -> bool:
 
 PARAMETERS: dict[str, tuple[str, str]] = {
     **dict.fromkeys((*elementwise.INTRINSICS, *elementwise.LIBRARY), ("", "accuracy")),
-    **dict.fromkeys(selection.REDUCTIONS, ("axes", "out_sharding")),
+    **dict.fromkeys(rows.REDUCTIONS, ("axes", "out_sharding")),
     "bitcast_convert_type": ("new_dtype", ""),
     "broadcast_in_dim": ("shape broadcast_dimensions", "sharding"),
     "concatenate": ("dimension", ""),
@@ -281,7 +290,7 @@ ACCEPTED: dict[str, Callable[[Any], bool]] = {
 @cache
 def primitives() -> set[str]:
     """Return the names of all supported primitives."""
-    return {*arrangement.RULES, *selection.RULES, "scatter", *control.RULES, *elementwise.RULES, *elementwise.COMPOSED}
+    return {*rows.ARRANGEMENTS, *rows.RULES, "scatter", *control.RULES, *elementwise.RULES, *elementwise.COMPOSED}
 
 
 def _apply(asm: Assembly, equation: Any, values: list[Value], owned: Collection[int]) -> list[Value]:
@@ -289,17 +298,17 @@ def _apply(asm: Assembly, equation: Any, values: list[Value], owned: Collection[
     name = equation.primitive.name
     refuse_if(name not in primitives(), f"the primitive {name}")
     check_parameters(name, equation.params)
-    if name in arrangement.RULES:
-        results = arrangement.arrange(equation, values)
-    elif name in selection.RULES:
-        results = selection.RULES[name](asm, equation, values)
+    if name in rows.ARRANGEMENTS:
+        results = rows.arrange(equation, values)
+    elif name in rows.RULES:
+        results = rows.RULES[name](asm, equation, values)
     elif name == "scatter":
-        results = selection.scatter(asm, equation, values, in_place=id(values[0]) in owned)
+        results = rows.scatter(asm, equation, values, in_place=id(values[0]) in owned)
     elif name in control.RULES:
         results = control.RULES[name](asm, partial(_write, asm), equation, values, owned)
     else:
         gives = dtype_of(equation.outvars[0].aval)
-        results = [selection.apply_to_arrays(asm, name, values, gives, equation.params)]
+        results = [rows.apply_to_arrays(asm, name, values, gives, equation.params)]
     for var, value in zip(equation.outvars, results, strict=True):
         mixed = not varies(var.aval) and any(x.varying for x in value.ravel().tolist())
         refuse_if(value.shape != without_lanes(var.aval.shape) or mixed, f"{name} that mixes lanes")
@@ -327,3 +336,61 @@ def check_parameters(primitive: str, params: Mapping[str, Any]) -> None:
             raise Untranslatable(f"{primitive} with {name} = {value}")
     for name in needed:
         refuse_if(name not in params, f"{primitive} without the parameter {name}")
+
+
+TESTED = frozenset(
+    ("add", "sub", "mul", "div", "neg", "abs", "sign", "max", "min", "integer_pow", "square", "pow", "sqrt", "floor")
+    + ("exp", "log", "sin", "cos", "tan", "tanh", "atan", "lt", "gt", "le", "ge", "eq", "ne", "and", "or", "not")
+    + ("select_n", "convert_element_type", "is_finite", "stop_gradient", "copy", "add_any", "optimization_barrier")
+    + ("broadcast_in_dim", "concatenate", "reshape", "slice", "squeeze", "stack", "transpose")
+)
+"""Primitives whose translation the tests compare with XLA, for numbers of `TESTED_TYPES`."""
+
+TESTED_TYPES = frozenset(map(np.dtype, ("float64", "float32", "bool")))
+
+
+def needs_comparison(jaxpr: Any, foreign: bool = True) -> bool:
+    """Return whether a trace has an instruction of foreign code that is not a tested one.
+
+    jax records the Python calls from which an instruction came. Its author is the innermost of them outside of jax.
+    `foreign`: whether instructions without an author are foreign. In a function that jax traces by itself, only its
+    call has an author.
+    """
+    for equation in jaxpr.eqns:
+        inner = _functions(equation)
+        if _is_covered(equation, inner):
+            continue
+        author = _author(equation)
+        others = not author.startswith(_folders()[0]) if author else foreign
+        if (others and equation.primitive.name not in control.CALLS) or any(needs_comparison(x, others) for x in inner):
+            return True
+    return False
+
+
+def _functions(equation: Any) -> list[Any]:
+    """Return the traces of the functions that an equation calls."""
+    parts = [x for value in equation.params.values() for x in (value if isinstance(value, tuple) else (value,))]
+    return [getattr(x, "jaxpr", x) for x in parts if hasattr(getattr(x, "jaxpr", x), "eqns")]
+
+
+def _is_covered(equation: Any, inner: list[Any]) -> bool:
+    if equation.primitive.name in control.CALLS:
+        return all(_is_covered(x, _functions(x)) for jaxpr in inner for x in jaxpr.eqns)
+    numbers = all(x.aval.dtype in TESTED_TYPES for x in (*equation.invars, *equation.outvars))
+    return numbers and equation.primitive.name in TESTED
+
+
+def _author(equation: Any) -> str:
+    """Return the file that wrote an equation, or an empty text if jax did not record it."""
+    skipped = _folders()[1]
+    frames = getattr(equation.source_info.traceback, "frames", ())
+    return next((x.file_name for x in frames if not x.file_name.startswith(skipped)), "")
+
+
+@cache
+def _folders() -> tuple[str, tuple[str, ...]]:
+    """Return this package's folder, and what may stand between an author and an instruction."""
+    import jaxlib
+
+    libraries = (str(Path(str(x.__file__)).parent) + os.sep for x in (jax, jaxlib))
+    return str(Path(__file__).parents[1]) + os.sep, (*libraries, functools.__file__)

@@ -2,22 +2,21 @@
 
 Foreign code (code from outside the package) may use any function of jax. A fault in its translation would silently give
 wrong numbers. So before a kernel runs in which foreign code has an instruction that the tests do not cover
-(`foreign.py`), the comparison of its `Subject` compares that code with XLA. If the results differ, XLA runs all code of
-the same owner, such as a scene. The disk cache stores the outcome under the hashes of the compared kernels and of each
-kernel that it allows, so that each owner is compared once.
+(`translation.py`), the comparison of its `Subject` compares that code with XLA. If the results differ, XLA runs all
+code of the same owner, such as a scene. The disk cache stores the outcome under the hashes of the compared kernels and
+of each kernel that it allows, so that each owner is compared once.
 
 The tests compare the package's own code with XLA for the versions in `TESTED_VERSIONS`. With newer versions, the
 package's own code is compared at run time as well.
 """
 
 import threading
-import types
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache, partial, wraps
+from functools import cache, wraps
 from hashlib import sha256
 from importlib.metadata import version
 from inspect import signature
@@ -27,6 +26,7 @@ import llvmlite
 
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import Untranslatable
+from vibrojax.compile.identity import is_foreign
 from vibrojax.compile.native import Kernel, kernel_for
 from vibrojax.compile.xla import float_type, jitted
 
@@ -35,9 +35,6 @@ TESTED_VERSIONS = {"jax": ("0.10.2", "0.12.0.1"), "llvmlite": ("0.50.0",)}
 
 AGREES = b"agrees"
 """Verdict on kernels that agree with XLA."""
-
-OWN_PACKAGES = ("vibrojax", "builtins", "functools", "typing", "numpy", "jax", "jaxlib")
-"""Packages whose objects are not foreign, unless they contain foreign objects."""
 
 
 class KernelRefused(UserWarning):
@@ -182,46 +179,6 @@ def newer_than_tested() -> bool:
 
 def _version_numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in version.split("+")[0].split(".") if part.isdecimal())
-
-
-@cache
-def is_foreign(code: Hashable) -> bool:
-    """Return whether an object is, or contains, code from outside the package.
-
-    Fields and closures are searched as well: a `vj.FrictionLaw`, for example, belongs to the package but holds
-    functions that its user wrote.
-    """
-    seen: set[int] = set()
-
-    def foreign(x: Any) -> bool:
-        if id(x) in seen:
-            return False
-        seen.add(id(x))
-        module = getattr(x if isinstance(x, types.FunctionType | type) else type(x), "__module__", None) or ""
-        return module.split(".")[0] not in OWN_PACKAGES or any(map(foreign, _contents(x)))
-
-    return foreign(code)
-
-
-def _contents(x: Any) -> Iterator[Any]:
-    """Yield the parts of an object that may be code: items, fields, closure variables, defaults, wrapped functions."""
-    if isinstance(x, Mapping):
-        yield from x.values()
-    elif isinstance(x, list | tuple | set | frozenset):
-        yield from x
-    elif isinstance(x, types.MethodType):
-        yield from (x.__func__, x.__self__)
-    elif isinstance(x, partial):
-        yield from (x.func, x.args, x.keywords)
-    elif hasattr(x, "__wrapped__"):
-        yield x.__wrapped__
-    elif isinstance(x, types.FunctionType):
-        yield from x.__defaults__ or ()
-        for cell in x.__closure__ or ():
-            with suppress(ValueError):  # the cell is empty
-                yield cell.cell_contents
-    elif not isinstance(x, type | types.ModuleType):
-        yield from getattr(x, "__dict__", {}).values()
 
 
 R = TypeVar("R")

@@ -6,8 +6,7 @@ attribute.
 """
 
 import json
-from collections.abc import Callable, Collection, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Any, TypedDict
 
 import numpy as np
@@ -31,10 +30,6 @@ LONGEST_NAME = 100
 """Maximum length of a parameter name [characters]."""
 
 
-Reader = Callable[[Place, Any], Any]
-"""Function that returns a checked value."""
-
-
 class Differing(TypedDict):
     """A parameter whose value differs from the default."""
 
@@ -47,7 +42,7 @@ class Differing(TypedDict):
 
 def check_attributes(ds: xr.Dataset) -> None:
     """Raise `InputError` if the value of a known attribute is malformed."""
-    for name in _READERS:
+    for name in _SCHEMA:
         _read(ds, name, None)
 
 
@@ -114,26 +109,42 @@ def certified_of(ds: xr.Dataset) -> dict[str, Any]:
 
 
 def _read(ds: xr.Dataset, name: str, otherwise: Any) -> Any:
-    if name not in ds.attrs:
-        return otherwise
-    return _READERS[name](Place(f"attribute {name}"), ds.attrs[name])
+    return _checked(Place(f"attribute {name}"), ds.attrs[name], _SCHEMA[name]) if name in ds.attrs else otherwise
 
 
-def _text(place: Place, value: object) -> str:
-    if not isinstance(value, str):
-        raise place.error(f"{shown(value)} is not a text")
-    return value
-
-
-def _json(place: Place, value: object, kind: type = dict) -> Any:
+def _checked(place: Place, value: Any, form: Any) -> Any:
+    """Return a value that has a form of `_SCHEMA`; raise `InputError` otherwise."""
+    if form is str or form is bool:
+        if not isinstance(value, form):
+            raise place.error(f"{shown(value)} is {'not a text' if form is str else 'neither true nor false'}")
+        return value
+    if isinstance(form, tuple):
+        items = np.asarray(value).ravel().tolist() if not isinstance(value, Mapping) else []
+        if len(items) != 2 or not all(map(isinstance, items, form)):
+            raise place.error(f"{shown(value)} is not a pair of {'names' if form[0] is str else 'numbers'}")
+        return items
+    if not isinstance(form, (dict, list)):
+        return form(place, value)
+    content: Any = value
     if not isinstance(value, (dict, list)):  # Zarr stores JSON values without string encoding
         try:
-            value = json.loads(_text(place, value))
+            content = json.loads(_checked(place, value, str))
         except (ValueError, RecursionError):
             raise place.error(f"{shown(value)} is not JSON") from None
-    if not isinstance(value, kind):
-        raise place.error(f"{shown(value)} is not a JSON {'object' if kind is dict else 'list'}")
-    return value
+    wanted: Any = type(form)
+    if not isinstance(content, wanted):
+        raise place.error(f"{shown(content)} is not a JSON {'object' if wanted is dict else 'list'}")
+    if isinstance(form, list):
+        rows = [_checked(Place(f"{place.file}[{index}]"), row, form[0]) for index, row in enumerate(content)]
+        return [{name.rstrip("?"): row.get(name.rstrip("?"), "") for name in form[0]} for row in rows]
+    if ... in form:
+        return {name: _checked(place.at(shown(name)), item, form[...]) for name, item in content.items()}
+    found = {}
+    for key, of in form.items():
+        name = key.rstrip("?")
+        if name == key or name in content:
+            found[name] = _checked(place.at(name), content.get(name), of)
+    return content | found
 
 
 def _number(place: Place, value: object) -> float | int:
@@ -143,21 +154,18 @@ def _number(place: Place, value: object) -> float | int:
     return number
 
 
-def _float(place: Place, value: object, least: float = -LARGEST) -> float:
-    number = float(_number(place, value))
-    if number < least:
-        raise place.error(f"is {number:g}; it must not be below {least:g}")
+def _float(place: Place, value: object) -> float:
+    return float(_number(place, value))
+
+
+def _time(place: Place, value: object) -> float:
+    if (number := _float(place, value)) < 0:
+        raise place.error(f"is {number:g}; it must not be below 0")
     return number
 
 
 def _axis(place: Place, value: object) -> str | None:
-    return None if value is None else _text(place, value)
-
-
-def _flag(place: Place, value: object) -> bool:
-    if not isinstance(value, bool):
-        raise place.error(f"{shown(value)} is neither true nor false")
-    return value
+    return None if value is None else str(_checked(place, value, str))
 
 
 def _name(place: Place, value: object) -> str:
@@ -167,58 +175,31 @@ def _name(place: Place, value: object) -> str:
 
 
 def _numbers(place: Place, value: object) -> dict[str, float | int]:
-    return {_name(place, name): _number(place.at(shown(name)), item) for name, item in _json(place, value).items()}
+    numbers: dict[str, float | int] = _checked(place, value, {...: _number})
+    return {_name(place, name): number for name, number in numbers.items()}
 
 
-def _entries(place: Place, value: object, readers: Mapping[str, Reader], needed: Collection[str] = ()) -> Any:
-    """Return a JSON object, in which `readers` read the entries with their names; those in `needed` must be there."""
-    table = _json(place, value)
-    names = [name for name in readers if name in table or name in needed]
-    return table | {name: readers[name](place.at(name), table.get(name)) for name in names}
+_ROWS = {...: {"rows": _number, "lines?": str}}
+_COLUMN = {"assumed": bool, "unit?": str, "given_in?": str, "column?": str, "value?": _number}
 
-
-def _each(place: Place, value: object, read: Reader) -> dict[str, Any]:
-    """Return a JSON object of which `read` reads every value."""
-    return {name: read(place.at(shown(name)), item) for name, item in _json(place, value).items()}
-
-
-def _differing(place: Place, value: object) -> list[Differing]:
-    readers: dict[str, Reader] = {"name": _name, "symbol": _text, "units": _text, "value": _float, "default": _float}
-    rows: list[Any] = []
-    for index, row in enumerate(_json(place, value, list)):
-        here = Place(f"{place.file}[{index}]")
-        table = _entries(here, {"symbol": "", "units": "", **_json(here, row)}, readers, readers)
-        rows.append({name: table[name] for name in readers})
-    return rows
-
-
-def _pair(place: Place, value: object, kind: type, what: str) -> list[Any]:
-    items = np.asarray(value).ravel().tolist() if not isinstance(value, Mapping) else []
-    if len(items) != 2 or not all(isinstance(item, kind) for item in items):
-        raise place.error(f"{shown(value)} is not a pair of {what}")
-    return items
-
-
-_TIME = partial(_float, least=0.0)
-_ROWS = partial(_entries, readers={"rows": _number, "lines": _text}, needed=("rows",))
-_COLUMN = {"assumed": _flag, "unit": _text, "given_in": _text, "column": _text, "value": _number}
-
-_READERS: dict[str, Reader] = {
-    **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), _text),
-    **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), _text),
-    **dict.fromkeys(("dialect", "detected", "notes", "error_model", "verdict"), _text),
-    **dict.fromkeys(("solver", "identity", "machine", "attractors"), _json),
+_SCHEMA: dict[str, Any] = {
+    **dict.fromkeys(("title", "scene", "friction", "pulse_shape", "start", "source", "jax", "history"), str),
+    **dict.fromkeys(("sweep", "along", "formulas", "reference", "settings"), str),
+    **dict.fromkeys(("dialect", "detected", "notes", "error_model", "verdict"), str),
+    **{name: {} for name in ("solver", "identity", "machine", "attractors")},
     **dict.fromkeys(("lanes", "wall_time_s", "rows_read", "reference_force"), _number),
     **dict.fromkeys(("parameters", "certified", "nulls"), _numbers),
-    "run": partial(_entries, readers={"settle": _TIME, "observe": _TIME, "error": _TIME, "carry": _axis}),
+    "run": {"settle?": _time, "observe?": _time, "error?": _time, "carry?": _axis},
     "robust": lambda place, value: value if isinstance(value, str) else _number(place, value),  # a loss, or 1
-    "differing": _differing,
-    "columns": partial(_each, read=partial(_entries, readers=_COLUMN, needed=("assumed",))),
-    **dict.fromkeys(("dropped", "left_out_rows"), partial(_each, read=_ROWS)),
-    "orbits": partial(_entries, readers={"grazing_limit": _float}),
-    "span": partial(_pair, kind=float, what="numbers"),
-    "axes": partial(_pair, kind=str, what="names"),
+    "differing": [{"name": _name, "symbol?": str, "units?": str, "value": _float, "default": _float}],
+    "columns": {...: _COLUMN},
+    **dict.fromkeys(("dropped", "left_out_rows"), _ROWS),
+    "orbits": {"grazing_limit?": _float},
+    "span": (float, float),
+    "axes": (str, str),
 }
+"""Form of each attribute: a type, a pair of types, a function that reads the value, or JSON. The entries of an object
+are needed unless their name ends in `?`; `...` is any name. Of the objects in a list, other entries are left out."""
 
 
 LONGEST_MEANING = 60

@@ -14,7 +14,7 @@ from vibrojax.io.atomic import ZARR, restore
 from vibrojax.io.attributes import check_attributes
 from vibrojax.io.identity import MARK
 from vibrojax.io.kinds import KIND, check_kind, check_structure, kind_of
-from vibrojax.io.untrusted import LAZY_FROM, readable
+from vibrojax.io.trust import LAZY_FROM, readable
 from vibrojax.io.variables import VARIABLES
 from vibrojax.threads import in_own_thread
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from vibrojax.errors import InputError, shown
 from vibrojax.io.files import read_regular, source
-from vibrojax.io.seal import LARGEST_METADATA, seal_of
-from vibrojax.io.untrusted import global_attributes
+from vibrojax.io.trust import LARGEST_METADATA, global_attributes, seal_of
 
 MARK = "vibrojax"
 """Prefix of the attribute `source` of every dataset that this package writes."""

@@ -1,4 +1,4 @@
-"""A script that copies a dataset of unknown origin, run by `io.untrusted` in a process of its own.
+"""A script that copies a dataset of unknown origin, run by `io.trust` in a process of its own.
 
 A damaged or hostile file can make HDF5 loop, crash, fill the memory, or read other files. Here all of that ends with
 the process. The copy is made by this process alone, so that the file of unknown origin need not be opened again.

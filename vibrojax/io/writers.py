@@ -19,7 +19,7 @@ import xarray as xr
 
 from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
 from vibrojax.io.dataset import check_zarr, first_line
-from vibrojax.io.seal import seal
+from vibrojax.io.trust import seal
 
 COMPRESSED = 4096
 """Number of values above which a variable is compressed."""

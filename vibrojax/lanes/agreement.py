@@ -18,11 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax.compile import Subject
 from vibrojax.compile.agreement import Difference, first_difference, take_lanes
 from vibrojax.compile.assembly import LANES
 from vibrojax.compile.native import QUICK_LEVEL, Kernel
-from vibrojax.compile.trust import newer_than_tested
+from vibrojax.compile.trust import Subject, newer_than_tested
 from vibrojax.errors import InputError
 from vibrojax.lanes.programs import LaneArguments, ProgramKey, constants_of, state_of
 from vibrojax.lazy import jax, jnp
@@ -62,18 +61,14 @@ class ComparedStep(NamedTuple):
     - `jump`: mode and state that the event with the lane's number would give, had it occurred before the step.
     - `derivative`: directional derivative of the state after the step with respect to state and parameters before it.
     - `way`: the lanes after the step.
+    - `features`: what the recorder returns after the step, by name.
     """
 
     guards: dict[str, Any]
     jump: Any
     derivative: Any
     way: LaneProgress
-
-
-class Read(NamedTuple):
-    """Features that the recorder returns, by name."""
-
-    features: Any
+    features: dict[str, Any]
 
 
 def begin(kind: ProgramKey, given: LaneArguments) -> Beginning:
@@ -109,19 +104,14 @@ def step(
     hits = {name: jnp.zeros_like(event, bool) for name in scene.event_names}
     hits |= {name: event == number for number, name in enumerate(scene.guard_names)}
     jump = scene.after_event(c, before.mode, before.state, hits)
-    after = LaneProgress(lane, (), ())
+    after, features = LaneProgress(lane, (), ()), {}
     if recorder is not None:
         settling = recorder.settle_returns(recorder.settle(scene, c, way.settling, lane, taken))
         observed = recorder.step(scene, c, way.observed, lane, taken)
         observed = recorder.take_returns(scene, c, observed, lane, jnp.full_like(lane.state[0], 0.5))
-        after = LaneProgress(lane, settling, observed)
+        after, features = LaneProgress(lane, settling, observed), recorder.read(scene, c, observed)
     guards = dict(zip(scene.guard_names, scene.guard_values(c, before.mode, before.state), strict=True))
-    return ComparedStep(guards, jump, derivative, after)
-
-
-def read(kind: ProgramKey, c: Any, observed: Any) -> Read:
-    """Return the features of lanes. A trajectory reads them by a kernel with the same text."""
-    return Read(kind.recorder.read(kind.scene, c, observed))
+    return ComparedStep(guards, jump, derivative, after, features)
 
 
 class Comparison:
@@ -136,7 +126,7 @@ class Comparison:
         accuracy = kind.stepper.accuracy(AccuracyRequest(precision=dtype.name), kind.scene)
         lanes = np.resize(np.arange(min(COMPARED_LANES, len(given.start))), COMPARED_LANES)
         self._given, self._accuracy = take_lanes(given, lanes), Accuracy(*(np.asarray(x, dtype) for x in accuracy))
-        self._begin, self._step, self._read = partial(begin, kind), partial(step, kind, derives), partial(read, kind)
+        self._begin, self._step = partial(begin, kind), partial(step, kind, derives)
         # The comparison is of the translation. LLVM is compared too where its version is new.
         level = None if newer_than_tested() else QUICK_LEVEL
         self._begin_kernel = Kernel(self._begin, self._given, level=level)
@@ -146,14 +136,11 @@ class Comparison:
         self._events = np.add.outer(np.arange(COMPARED_STEPS), np.arange(COMPARED_LANES)).astype(dtype) % events
         arguments = self._given, *self._start, self._accuracy, self._events[0]
         self._step_kernel = Kernel(self._step, *arguments, level=level)
-        observed = self._start.way.observed
-        self._read_kernel = None if kind.recorder is None else Kernel(self._read, self._start.constants, observed)
 
     @property
     def key(self) -> str:
         """Hash of the kernels that are compared with XLA."""
-        kernels = self._begin_kernel, self._step_kernel, self._read_kernel
-        return "".join(kernel.key for kernel in kernels if kernel is not None)
+        return self._begin_kernel.key + self._step_kernel.key
 
     def difference(self) -> Difference | None:
         """Return the first quantity in which kernel and XLA differ, or None if they agree."""
@@ -168,12 +155,7 @@ class Comparison:
         every, events = take_lanes((every, self._events.ravel()), lanes)
         given, c = take_lanes((self._given, c), lanes % COMPARED_LANES)
         difference = first_difference(self._begin, self._begin_kernel, self._given)
-        difference = difference or first_difference(
-            self._step, self._step_kernel, given, c, every, self._accuracy, events
-        )
-        if difference is None and self._read_kernel is not None:
-            return first_difference(self._read, self._read_kernel, c, every.observed)
-        return difference
+        return difference or first_difference(self._step, self._step_kernel, given, c, every, self._accuracy, events)
 
 
 def scene_subject(static: tuple[Hashable, ...], arguments: tuple[Any, ...], derives: bool) -> Subject | None:

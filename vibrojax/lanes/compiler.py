@@ -1,6 +1,6 @@
 """Compiled programs of lanes. Kernels of scenes from outside the package are first compared with XLA."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from importlib.metadata import version
 from inspect import isfunction
 from typing import Any, TypeVar
@@ -8,11 +8,9 @@ from typing import Any, TypeVar
 import llvmlite
 import numpy as np
 
-from vibrojax import compile as compilation
-from vibrojax.compile import native, trusted_kernel
+from vibrojax.compile import native, trust
 from vibrojax.compile.agreement import check
-from vibrojax.compile.native import BoundKernel, Kernel, kernel_for
-from vibrojax.compile.trees import flatten
+from vibrojax.compile.native import BoundKernel, kernel_for
 from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation
 from vibrojax.lanes.agreement import scene_subject
 from vibrojax.lanes.programs import ProgramKey, settle_lanes
@@ -46,12 +44,12 @@ EQUATION_FUNCTIONS = (*(x for x in vars(elementary).values() if isfunction(x) an
 
 
 def lane_function(static: int, derives: bool = False) -> Callable[[Callable[..., R]], Callable[..., R]]:
-    """Return a decorator that compiles a function of lanes; see [vibrojax.compile.lane_function][].
+    """Return a decorator that compiles a function of lanes; see [vibrojax.compile.trust.lane_function][].
 
     Kernels of a scene from outside the package run only if the first steps of this scene agree with XLA. `derives`:
     whether the function computes derivatives of a scene's equations.
     """
-    return compilation.lane_function(static, derives=derives, policy=scene_subject)
+    return trust.lane_function(static, derives=derives, policy=scene_subject)
 
 
 class Programs:
@@ -68,7 +66,6 @@ class Programs:
 
     def __init__(self, kind: ProgramKey, dtype: np.dtype, platform: str | None = None) -> None:
         self.kind, self._dtype, self._platform = kind, dtype, platform
-        self._kernels: dict[Hashable, Kernel] = {}
         self.compiler = "llvm" if platform is None else "xla"
         self.compiles_check = platform is None and kind.recorder.for_check() != kind.recorder
         self.block = XLA_BLOCK if platform == "cpu" else XLA_BLOCK_ON_ACCELERATOR
@@ -91,14 +88,9 @@ class Programs:
         Uses the current device and precision, in which calls of a `BoundProgram` must be made as well.
         """
         if self._platform is None:
-            leaves, tree = flatten(arguments)
-            key = (program, tree, *native.types_of(leaves))
-            kernel = self._kernels.get(key)
-            if kernel is None:
-                registers = KERNEL_REGISTERS.get(program, 1)
-                kernel = trusted_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
-                self._kernels[key] = kernel
-            return kernel.bind_leaves(leaves)
+            registers = KERNEL_REGISTERS.get(program, 1)
+            kernel = trust.trusted_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
+            return kernel.bind(*arguments)
         return BoundProgram(program, (self.kind,), self.block, self.lanes_per_call // self.block, *arguments)
 
 

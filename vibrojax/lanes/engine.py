@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from vibrojax.compile import Untranslatable
+from vibrojax.compile.assembly import Untranslatable
 from vibrojax.compile.native import BoundKernel
 from vibrojax.compile.trees import map_leaves
 from vibrojax.compile.xla import BoundProgram, precision

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vibrojax.errors import Place, shown, suggestion
-from vibrojax.maps.starts import Points, Start, read_points, read_starts
+from vibrojax.maps.starts import Start, Starts, read_points, read_starts
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.measures.labels import HOLE_RADIUS
 from vibrojax.scenes import SCENES, HasRock, Scene
@@ -53,16 +53,15 @@ def sweep_of(origin: Source, table_of_points: str = "points") -> Sweep:
     table = dict(as_table(in_parameters, tables.get("parameters", {})))
     names = read_names(place.at("scene"), tables["scene"], table, in_parameters)
     fixed = read_parameters(in_parameters, table, names)
-    axes, points = _read_varied(place, origin, names, table_of_points)
-    varied = points.columns if points else axes
-    varying = place.at(table_of_points if points else "grid")
+    axes, points, own = _read_varied(place, origin, names, table_of_points)
+    varied = axes if points is None else points
+    varying = place.at("grid" if points is None else table_of_points)
     places = {name: in_parameters.at(name) for name in table} | {name: varying.at(name) for name in varied}
     names.check_substitutes(places)
     for name in varied:
         if name in table:
             raise varying.at(name).error("is in [parameters] as well; give it in one of the two")
     starts = read_starts(place.at("starts"), tables.get("starts"), names)
-    own = points.starts if points else None
     title = tables.get("title", "")
     if not isinstance(title, str):
         raise place.at("title").error(f"{shown(title)} is not text; write it in quotes")
@@ -77,7 +76,7 @@ def sweep_of(origin: Source, table_of_points: str = "points") -> Sweep:
         parameters=completed(names, fixed, varied),
         given=fixed,
         axes=axes,
-        points=points.columns if points else None,
+        points=points,
         own_starts=own is not None,
         run=read_settings(place.at("run"), as_table(place.at("run"), tables.get("run", {})), names.system),
         file=origin.file,
@@ -132,13 +131,13 @@ def _check_top(place: Place, tables: dict[str, object]) -> None:
 
 def _read_varied(
     place: Place, origin: Source, names: Names, table_of_points: str
-) -> tuple[dict[str, np.ndarray], Points | None]:
-    """Return the axes of the grid, or the points. The other of the two is empty or None."""
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray] | None, Starts | None]:
+    """Return the axes of the grid, or the points with their starts, see `read_points`. The others are empty or None."""
     tables = origin.tables
     if "points" in tables and "grid" in tables:
         raise place.at("points").error(f"{shown(tables['points'])} beside [grid]; give one of them")
     if "points" in tables:
-        return {}, read_points(place.at(table_of_points), tables["points"], origin.folder, names)
+        return {}, *read_points(place.at(table_of_points), tables["points"], origin.folder, names)
     place = place.at("grid")
     grid = as_table(place, tables.get("grid", {}))
     if not grid and ("grid" in tables or "starts" not in tables or not names.has_starts):
@@ -156,7 +155,7 @@ def _read_varied(
             axes[name] = np.array(chosen)
         else:
             axes[name] = read_axis(place.at(name), value, names.parameter(place.at(name), name))
-    return axes, None
+    return axes, None, None
 
 
 def check_run(place: Place, sweep: Sweep) -> None:

@@ -224,31 +224,24 @@ def at_coordinates(sweep: Sweep, coords: Coordinates) -> Sweep:
     names = read_names(_PLACE, sweep.system)
     tables: dict[str, Any] = tomllib.loads(sweep.text)
     if "points" in tables:
-        points = _read(sweep, tables | points_at(tables, [*(sweep.points or {}), *sweep.start_columns], coords))
-        return sweep if points.identity() == sweep.identity() else points
-    grid, fixed = dict(tables.get("grid", {})), dict(tables.get("parameters", {}))
-    changed = False
-    for name in dict.fromkeys([*sweep.axes, *_parameters_in(coords, names)]):
-        value = _along(coords, name, name)
-        before = sweep.axes[name].tolist() if name in sweep.axes else fixed.get(name, sweep.given.get(name))
-        if value == (sweep.parameters.get(name) if before is None else before):
-            continue
-        table, other = (grid, fixed) if isinstance(value, list) else (fixed, grid)
-        table[name] = value
-        other.pop(name, None)
-        changed = True
-    starts = _starts_at(sweep, coords)
-    if starts is not None and (starts != list(sweep.starts or ()) or "starts" not in tables):
-        changed |= starts != list(sweep.starts or ())
-        tables["starts"] = [start if isinstance(start, str) else list(start) for start in starts]
-    if not changed:
-        return sweep
-    if not grid and starts is None:  # a sweep has a dimension
-        grid = {name: [fixed.pop(name)] for name in sweep.axes}
-    tables |= {"parameters": fixed, "grid": grid}
-    if not grid:
-        del tables["grid"]
-    return with_numbered_starts(_read(sweep, tables), coords)
+        tables |= points_at(tables, [*(sweep.points or {}), *sweep.start_columns], coords)
+    else:
+        grid, fixed = dict[str, Any](), dict(tables.get("parameters", {}))
+        for name in dict.fromkeys([*sweep.axes, *_parameters_in(coords, names)]):
+            value = _along(coords, name, name)
+            table, other = (grid, fixed) if isinstance(value, list) else (fixed, grid)
+            table[name] = value
+            other.pop(name, None)
+        starts = _starts_at(sweep, coords)
+        if starts is not None and (starts != list(sweep.starts or ()) or "starts" not in tables):
+            tables["starts"] = [start if isinstance(start, str) else list(start) for start in starts]
+        if not grid and starts is None:  # a sweep has a dimension
+            grid = {name: [fixed.pop(name)] for name in sweep.axes}
+        tables |= {"parameters": fixed, "grid": grid}
+        if not grid:
+            del tables["grid"]
+    lanes = with_numbered_starts(_read(sweep, tables), coords)
+    return sweep if lanes.identity() == sweep.identity() else lanes
 
 
 def _read(sweep: Sweep, tables: dict[str, Any]) -> Sweep:

@@ -24,7 +24,7 @@ from vibrojax.maps.cost import check_size
 from vibrojax.maps.dataset import join
 from vibrojax.maps.executor import Executor, compute
 from vibrojax.maps.read import read_sweep
-from vibrojax.maps.store import CHUNKS, DamagedChunk, open_store, report_damage
+from vibrojax.maps.store import CHUNKS, open_store
 from vibrojax.maps.sweep import Sweep
 from vibrojax.periodic.lane_stages import lane_run
 from vibrojax.progress import Progress, timed
@@ -150,11 +150,8 @@ def _computed(
                     store.write(index, arrays)
 
         def read(index: int) -> Features:
-            try:
-                return store.read(index)
-            except DamagedChunk as damage:
-                report_damage(damage)
-                return next(compute(sweep, run, [index]))[1]
+            arrays = store.read(index)
+            return next(compute(sweep, run, [index]))[1] if arrays is None else arrays
 
         yield lambda target: join(sweep, run, read, target, began)
         store.remove()

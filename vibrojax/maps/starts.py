@@ -202,20 +202,12 @@ def _of_states(place: Place, table: dict[str, object], states: tuple[str, ...]) 
     return table
 
 
-@dataclass(frozen=True)
-class Points:
-    """A list of points, each column (points,).
+def read_points(place: Place, value: object, folder: Path, names: Names) -> tuple[dict[str, np.ndarray], Starts | None]:
+    """Read the points of a sweep from a CSV file, whose path is relative to `folder`, or from a table of columns.
 
-    - `columns`: parameters and rocks by name.
-    - `starts`: the initial condition of each point, names or vectors; None if other keys specify them.
+    **Returns:** columns of parameters and rocks, each (points,), by name, and the initial condition of each point, None
+    if other keys specify them.
     """
-
-    columns: dict[str, np.ndarray]
-    starts: Starts | None
-
-
-def read_points(place: Place, value: object, folder: Path, names: Names) -> Points:
-    """Read the points of a sweep from a CSV file, whose path is relative to `folder`, or from a table of columns."""
     if isinstance(value, str):
         return _from_csv(folder / value, names)
     columns = as_table(place, value)
@@ -234,7 +226,7 @@ def read_points(place: Place, value: object, folder: Path, names: Names) -> Poin
     return _points(lists, lambda name, index: place.at(name).item(index), names)
 
 
-def _from_csv(path: Path, names: Names) -> Points:
+def _from_csv(path: Path, names: Names) -> tuple[dict[str, np.ndarray], Starts | None]:
     """Read points from a CSV file whose first line contains the column names."""
     place = Place(str(path))
     line, header, rows = read_table(path)
@@ -289,7 +281,9 @@ def _check_columns(place_of: Callable[[str], Place], columns: Sequence[str], nam
         raise place_of(present[0]).error(f"{' and '.join(missing)} missing; a start is {vector} together")
 
 
-def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Names) -> Points:
+def _points(
+    cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Names
+) -> tuple[dict[str, np.ndarray], Starts | None]:
     columns, vectors, starts = {}, {}, None
     states = names.system.start_states
     for name, column in cells.items():
@@ -307,7 +301,7 @@ def _points(cells: Mapping[str, Sequence[Any]], place_of: CellPlace, names: Name
     elif vectors:
         rows = np.stack([vectors[name] for name in states], axis=1)
         starts = Starts((), states, np.zeros(len(rows), int), rows)
-    return Points(columns, starts)
+    return columns, starts
 
 
 def _numbers(column: Sequence[Any], name: str, place_of: CellPlace, names: Names) -> np.ndarray:

@@ -44,10 +44,6 @@ Arrays = Mapping[str, Shaped[np.ndarray, "..."]]
 """The arrays of a chunk by name: variables of shape (lanes,) or (lanes, rows), and numbers of shape ()."""
 
 
-class DamagedChunk(Exception):
-    """Error of a chunk that is missing, truncated or changed, and is therefore computed again."""
-
-
 class Store:
     """The finished chunks of one sweep, as immutable archives in one folder that `open_store` opens.
 
@@ -66,15 +62,8 @@ class Store:
         self._digest = digest(self.manifest)
 
     def finished(self) -> set[int]:
-        """Return the indices of the intact chunks; report damaged chunks on stderr."""
-        whole = set[int]()
-        for index in sorted(self.indices()):
-            try:
-                self.read(index)
-                whole.add(index)
-            except DamagedChunk as damage:
-                report_damage(damage)
-        return whole
+        """Return the indices of the intact chunks; warn of the others, see `read`."""
+        return {index for index in sorted(self.indices()) if self.read(index) is not None}
 
     def indices(self) -> set[int]:
         """Return the indices of the existing chunks, without verifying that they are intact."""
@@ -92,11 +81,8 @@ class Store:
                 file.writestr(zipfile.ZipInfo(json.dumps([name, x.dtype.str, x.shape])), x.tobytes())  # without a date
         self._put(self._path(index), content.getbuffer())
 
-    def read(self, index: int) -> dict[str, np.ndarray]:
-        """Return the arrays of a chunk by name.
-
-        **Raises:** `DamagedChunk` if the file is missing or damaged.
-        """
+    def read(self, index: int) -> dict[str, np.ndarray] | None:
+        """Return the arrays of a chunk by name; None, with a warning on stderr, if the file is missing or damaged."""
         path, arrays = self._path(index), dict[str, np.ndarray]()
         try:
             with zipfile.ZipFile(path) as file:
@@ -108,11 +94,13 @@ class Store:
                     if info.compress_type != zipfile.ZIP_STORED or not _NUMBERS.fullmatch(kind):
                         raise ValueError("not an array of booleans or real numbers")
                     arrays[name] = np.frombuffer(bytearray(file.read(info)), kind).reshape(shape)
+            return arrays
         except OSError as error:
-            raise DamagedChunk(f"{path}: cannot be read ({error.strerror or 'damaged'})") from None
+            problem = f"cannot be read ({error.strerror or 'damaged'})"
         except Exception:  # a malformed archive causes many types of exceptions
-            raise DamagedChunk(f"{path}: damaged") from None
-        return arrays
+            problem = "damaged"
+        print(f"vibrojax: warning: {path}: {problem}; computed again", file=sys.stderr)
+        return None
 
     def write_manifest(self) -> None:
         """Store the manifest, to which all chunks belong."""
@@ -185,11 +173,6 @@ def open_store(folder: Path, manifest: Mapping[str, object], resume: bool) -> It
         yield store
     with suppress(OSError):  # the folder is not empty
         folder.rmdir()
-
-
-def report_damage(damage: object) -> None:
-    """Warn on stderr about a damaged chunk, which is computed again."""
-    print(f"vibrojax: warning: {damage}; computed again", file=sys.stderr)
 
 
 @contextmanager

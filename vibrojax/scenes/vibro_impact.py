@@ -16,7 +16,7 @@ from vibrojax.physics.elementary import maximum
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, Parameter
 from vibrojax.scenes.capabilities import HasContact
 from vibrojax.scenes.declared import Guard, Mode, Start, Values
-from vibrojax.scenes.rotary import DrillConstants, Rotary, drill_constants, length_noise
+from vibrojax.scenes.rotary import Rotary, length_noise
 from vibrojax.scenes.scene import ROUNDINGS
 
 
@@ -30,13 +30,6 @@ class ContactConstants(NamedTuple):
     c0: Any
     delta: Any
     relaxation: Any
-
-
-class VibroImpactConstants(NamedTuple):
-    """Constants of the two masses and of the contact between them."""
-
-    drill: DrillConstants
-    contact: ContactConstants
 
 
 @dataclass(frozen=True)
@@ -53,8 +46,8 @@ class VibroImpact(Rotary, HasContact[Any]):
     own_parameters: ClassVar[dict[str, Parameter]] = BIT_AND_STRIKER | CONTACT
 
     def constants(self, p: Mapping[str, Any]) -> Any:
-        drill = drill_constants(p, self.friction)
-        return VibroImpactConstants(drill, ContactConstants(p["k0"], p["c0"], p["delta"], p["c0"] / p["k0"]))
+        contact = ContactConstants(p["k0"], p["c0"], p["delta"], p["c0"] / p["k0"])
+        return super().constants(p)._replace(contact=contact)
 
     def compression(self, c: Any, mode: Values, state: Values) -> tuple[Any, Any]:
         """Return the compression of the contact [m] and the compression rate [m/s]; Taylor series are accepted."""
@@ -110,7 +103,7 @@ class VibroImpact(Rotary, HasContact[Any]):
 
     def impact_noise(self, c: Any, mode: Values) -> Any:
         # A small multiple of the rounding error of the position, for a striker that meets the bit at the drive speed.
-        reach = jnp.abs(c.contact.delta) + jnp.sqrt(c.drill.m2 / c.contact.k0) * c.drill.slip.v
+        reach = jnp.abs(c.contact.delta) + jnp.sqrt(c.drill.m2 / c.contact.k0) * c.drill.v
         return mode[1] * (ROUNDINGS * jnp.finfo(c.contact.k0.dtype).eps * c.contact.k0 * reach)
 
     def stored(self, c: Any, state: Values) -> Any:
