@@ -35,9 +35,6 @@ _DERIVED = {
 _RESULTS = ("blow_frequency", "blows", "blow_rate", "blows_per_minute", "bpm")
 """Words for the number of blows per minute, which follows from the motion."""
 
-_LACKING = {"friction": "does not slide"}
-"""Wording for a scene without an option, used in messages."""
-
 
 def known_options() -> dict[str, Mapping[str, object]]:
     """Return the options of all registered scenes, each with its possible values by name."""
@@ -216,7 +213,7 @@ def read_names(
     for option, value in chosen.items():
         here = (table_place or place).at(option)
         if option not in options:
-            lacks = _LACKING.get(option, f"has no {option}")
+            lacks = "does not slide" if option == "friction" else f"has no {option}"
             raise here.error(f"scene {shown(system.name)} {lacks}; leave it out")
         values = system.choices[option]
         is_value = not isinstance(value, str) and isinstance(value, tuple({type(x) for x in values.values()}))

@@ -246,7 +246,6 @@ class Pushes(MachineAnalysis[Machines]):
         return machines
 
     def compute(self, spec: Machines, progress: bool = True) -> xr.Dataset:
-        """Return the smallest pushes; raise `InputError` if there is no stable cycle to push."""
         sweep = spec.sweep
         cycle = run_sweep(sweep, progress=progress)
         cycle = cycle.isel(start=0, drop=True) if "start" in cycle.dims else cycle

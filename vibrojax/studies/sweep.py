@@ -96,30 +96,19 @@ def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
 
 
 def orbit_lines(ds: xr.Dataset) -> list[str]:
-    """Return lines that state how many orbits were found and are stable, and why the others were not found.
-
-    Return an empty list if the dataset has no orbits.
-    """
+    """Return how many orbits were found and are stable, and why the others were not found; nothing without orbits."""
     if "orbit_reason" not in ds:
         return []
-    reason, stable = ds["orbit_reason"].values, ds["stable"].values
-    counts = {meaning: int((reason == flag).sum()) for flag, meaning in flags(ds["orbit_reason"]).items()}
+    counts, stable = flag_counts(ds, "orbit_reason"), ds["stable"].values
     repeating = sum(count for meaning, count in counts.items() if meaning not in ("not-repeating", "refused"))
-    stabilities = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
-    lines = [
-        f"{counts['found']} found of {counted(repeating, 'lane that repeats', 'lanes that repeat')}: {stabilities}"
-    ]
-    lines += [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
+    of = f"{counts.pop('found', 0)} found of {counted(repeating, 'lane that repeats', 'lanes that repeat')}"
+    lines = [f"{of}: {(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"]
+    lines += [f"{count} {meaning}" for meaning, count in counts.items()]
     cycles, own = ds["orbit_cycles"], ds.get("cycles")
-    sooner = int(((cycles > 0) & (cycles < own)).sum()) if own is not None else 0
-    if sooner:
-        lines.append(
-            counted(
-                sooner,
-                "lane is on its way to an orbit that repeats sooner than it does",
-                "lanes are on their way to an orbit that repeats sooner than they do",
-            )
-        )
+    if own is not None and (sooner := int(((cycles > 0) & (cycles < own)).sum())):
+        one = "lane is on its way to an orbit that repeats sooner than it does"
+        many = "lanes are on their way to an orbit that repeats sooner than they do"
+        lines.append(counted(sooner, one, many))
     limit = table_of(ds, "orbits").get("grazing_limit")
     if limit is not None:
         lines.append(f"multipliers are given from a grazing_margin of {limit:g} on")
@@ -142,12 +131,10 @@ def _labelled(ds: xr.Dataset, *regimes: str) -> xr.DataArray:
 def _nature_lines(ds: xr.Dataset) -> list[str]:
     if "nature" not in ds or "regime" not in ds:
         return []
-    irregular = _labelled(ds, "irregular").values
-    masks = ((name, ds["nature"].values == flag) for flag, name in flags(ds["nature"]).items())
+    irregular = flag_counts(ds[["nature"]].where(_labelled(ds, "irregular")), "nature")
     return [
-        f"{name:<14}{int(mask.sum()):>9}{int((mask & irregular).sum()):>9} of them irregular"
-        for name, mask in masks
-        if mask.any()
+        f"{name:<14}{count:>9}{irregular.get(name, 0):>9} of them irregular"
+        for name, count in flag_counts(ds, "nature").items()
     ]
 
 
@@ -273,11 +260,6 @@ def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list
         singular = "of them is farther than that from where it settles; a longer settle brings it there"
         plural = "of them are farther than that from where they settle; a longer settle brings them there"
         lines.append(counted(still, singular, plural))
-    return [
-        *lines,
-        counted(
-            int(sensitive.sum()),
-            "lane is sensitive: rounding decides which attractor it reaches",
-            "lanes are sensitive: rounding decides which attractor they reach",
-        ),
-    ]
+    one = "lane is sensitive: rounding decides which attractor it reaches"
+    many = "lanes are sensitive: rounding decides which attractor they reach"
+    return [*lines, counted(int(sensitive.sum()), one, many)]
