@@ -32,6 +32,7 @@ from vibrojax.scenes import HasImpacts
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, analyse
 from vibrojax.studies.border_curves import Border, ContinuedBorders, crossings_of
 from vibrojax.studies.border_grid import GridOrbit, OrbitGrid, OrbitLoss, Vertex, around_region
+from vibrojax.studies.curves import read_line
 from vibrojax.studies.subjects import SweepAnalysis
 
 WHERE = {
@@ -345,22 +346,15 @@ class Borders(SweepAnalysis):
 
     def _line(self, sweep: Sweep) -> tuple[str, float] | None:
         """Return the parameter and the value at which crossings are located, or None."""
-        at, names = self.at, plane_axes(sweep, self.axes)
-        if at is None:
-            return None
+        at = self.at
+        axes = {name: sweep.axes[name] for name in plane_axes(sweep, self.axes)}
+        spans = {name: (float(x.min()), float(x.max())) for name, x in axes.items()}
         if isinstance(at, str):
             name, _, text = at.partition("=")
             at = {name.strip(): text}
             with suppress(ValueError):  # the text is reported below
                 at = {name.strip(): float(text)}
-        name, value = next(iter(at.items())) if isinstance(at, Mapping) and len(at) == 1 else ("", None)
-        if name not in names or isinstance(value, bool) or not isinstance(value, int | float | np.number):
-            raise InputError(f"borders: at: {shown(at)} is not {' or '.join(names)} with a value; give one of them")
-        low, high = float(sweep.axes[name].min()), float(sweep.axes[name].max())
-        if not low <= value <= high:
-            ends = f"{low:g} and {high:g}, the ends of the axis"
-            raise InputError(f"borders: at: {name}: {value:g} is not between {ends}")
-        return name, float(value)
+        return read_line(Place("borders").at("at"), sweep.system.parameters(), at, spans)
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
         return {self.kind: [*plane_axes(sweep, self.axes), *(self._line(sweep) or ())]}

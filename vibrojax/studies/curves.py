@@ -25,7 +25,7 @@ from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, Points, check_changes_orbits
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.physics.parameters import ROTATION, differing
+from vibrojax.physics.parameters import ROTATION, Parameter, differing
 from vibrojax.pictures.branches import (
     along_name,
     branches,
@@ -38,7 +38,7 @@ from vibrojax.pictures.branches import (
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
-from vibrojax.settings.values import UnusualValue
+from vibrojax.settings.values import UnusualValue, quantity
 from vibrojax.studies.family_dataset import columns
 from vibrojax.studies.family_spec import read_span
 
@@ -175,7 +175,7 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
         value = float(values[by][outside][0])
         raise place.at("from").error(f"the family is at {by} = {value:g}, which is not between {low:g} and {high:g}")
     first, last = (float(x) for x in family.attrs["span"])
-    line = _line(place, names, at, {along: (first, last), by: (low, high)})
+    line = read_line(place.at("at"), names.parameters, at, {along: (first, last), by: (low, high)})
     return CurvesSpec(
         family, names.system, dict(names.options), along, (first, last), by, (low, high), chosen, line, values
     )
@@ -231,17 +231,19 @@ def _distinct(family: xr.Dataset, special: list[int]) -> list[int]:
     return kept
 
 
-def _line(place: Place, names: Names, at: object, spans: Mapping[str, tuple[float, float]]) -> tuple[str, float] | None:
+def read_line(
+    place: Place, parameters: Mapping[str, Parameter], at: object, spans: Mapping[str, tuple[float, float]]
+) -> tuple[str, float] | None:
     """Return the parameter and the value at which crossings are located, or None."""
     if at is None:
         return None
     if not isinstance(at, Mapping) or len(at) != 1 or next(iter(at)) not in spans:
         wrong = " and ".join(map(str, at)) if isinstance(at, Mapping) else at
-        raise place.at("at").error(f"{shown(wrong)} is not {' or '.join(spans)} with a value; give one of them")
+        raise place.error(f"{shown(wrong)} is not {' or '.join(spans)} with a value; give one of them")
     [(name, given)] = at.items()
-    value, (low, high) = names.quantity(place.at("at").at(name), name, given), spans[name]
+    value, (low, high) = quantity(place.at(name), given, parameters[name]), spans[name]
     if not low <= value <= high:
-        raise place.at("at").at(name).error(f"{value:g} is not between {low:g} and {high:g}, the bounds of the curves")
+        raise place.at(name).error(f"{value:g} is not between {low:g} and {high:g}, the bounds of the curves")
     return name, value
 
 

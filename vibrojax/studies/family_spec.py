@@ -18,15 +18,19 @@ from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.problem import check_changes_orbits
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION, resolved
+from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION, positive, resolved
 from vibrojax.settings.names import Names, read_names
-from vibrojax.settings.values import count, warn_if_far
+from vibrojax.settings.toml import plain
+from vibrojax.settings.values import STATE, count, quantity, warn_if_far
 
 TRACED_PERIODS = 2.5
 """Duration of the motion in which an orbit that is given is traced to the section, in its periods."""
 
 SAME_HOPF = 1e-6
 """Difference of the parameter, relative to its span, up to which Hopf points are at the same value."""
+
+
+_PERIOD = positive("period", 1.0, "s", "period of an orbit", "T")
 
 
 class HopfPoint(NamedTuple):
@@ -159,22 +163,16 @@ def read_orbit(place: Place, names: Names, orbit: object) -> tuple[list[float], 
     """Check the argument `orbit` of `follow`; return states and period."""
     if not isinstance(orbit, Mapping) or set(orbit) != {"states", "period"}:
         raise place.error(f'{shown(orbit)} is not {{"states": [...], "period": ...}}')
-    order, given = list(names.system.start_states), orbit["states"]
-    if isinstance(given, Mapping):
+    here, there, order = place.at("states"), place.at("period"), list(names.system.start_states)
+    given = plain(here, orbit["states"])
+    if isinstance(given, dict):
         if set(given) != set(order):
-            raise place.at("states").error(f"names {', '.join(map(str, given))}; the states are {', '.join(order)}")
+            raise here.error(f"names {', '.join(given)}; the states are {', '.join(order)}")
         given = [given[name] for name in order]
-    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or len(given) != len(order):
-        raise place.at("states").error(f"{shown(given)} is not {len(order)} numbers: {', '.join(order)}")
-    numbers = []
-    places = [place.at("states").item(k) for k in range(len(order))] + [place.at("period")]
-    for where, value in zip(places, [*given, orbit["period"]], strict=True):
-        if not isinstance(value, int | float | np.number) or isinstance(value, bool) or not np.isfinite(value):
-            raise where.error(f"{shown(value)} is not a finite number")
-        numbers.append(float(value))
-    if not numbers[-1] > 0:
-        raise place.at("period").error(f"{numbers[-1]:g} is not above 0 s")
-    return numbers[:-1], numbers[-1]
+    if not isinstance(given, list) or len(given) != len(order):
+        raise here.error(f"{shown(given)} is not {len(order)} numbers: {', '.join(order)}")
+    states = [quantity(here.item(k), value, STATE) for k, value in enumerate(given)]
+    return states, quantity(there, plain(there, orbit["period"]), _PERIOD)
 
 
 def read_hopf(place: Place, family: object) -> tuple[xr.Dataset, list[HopfPoint]]:

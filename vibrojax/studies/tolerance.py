@@ -32,6 +32,7 @@ from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import read_names
 from vibrojax.settings.toml import plain_table
+from vibrojax.settings.values import read_pair
 from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
 from vibrojax.studies.subjects import MachineAnalysis
 
@@ -257,12 +258,12 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         if len(given) > MAX_TOLERANCES:
             raise place.error(f"{len(given)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
         names = read_names(place.at("scene"), scene, fixed, place)
-        pairs: dict[str, Any] = plain_table(place, given, lambda: names.units)
-        for name, pair in pairs.items():
-            numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair)
-            if len(pair) != 2 or not numbers or not (np.isfinite(pair[1]) and pair[1] > 0):
-                raise place.at(name).error(f"{shown(pair)} is not a nominal value and a half-width above zero")
-        nominal, half_widths = ({name: float(pair[k]) for name, pair in pairs.items()} for k in (0, 1))
+        table, noun = plain_table(place, given, lambda: names.units), "a nominal value and a half-width above zero"
+        pairs = {name: read_pair(place.at(name), pair, noun) for name, pair in table.items()}
+        for name, (_, width) in pairs.items():
+            if not 0 < width < np.inf:
+                raise place.at(name).error(f"{shown(table[name])} is not {noun}")
+        nominal, half_widths = ({name: pair[k] for name, pair in pairs.items()} for k in (0, 1))
         for end in (-1.0, 1.0):  # errors name the parameter, not a row of the points
             read_point(place, scene, fixed | {name: x + end * half_widths[name] for name, x in nominal.items()})
         tables: dict[str, Any] = {"scene": scene, "title": "Behaviour over the tolerances", "parameters": fixed}
