@@ -39,8 +39,7 @@ from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.values import UnusualValue, quantity
-from vibrojax.studies.family_dataset import columns
-from vibrojax.studies.family_spec import read_span
+from vibrojax.studies.family_data import columns, read_span
 
 SAME_VALUE = 1e-7
 """Difference of the parameter, relative to its range, up to which special points of one kind on one branch are one."""

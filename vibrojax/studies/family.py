@@ -26,8 +26,7 @@ from vibrojax.periodic.segments import Mark
 from vibrojax.periodic.timed_families import TimedContinuation, at_section, free_problem, returning_orbit, through
 from vibrojax.periodic.timed_problem import TimedProblem, has_free_phase
 from vibrojax.scenes import Scene
-from vibrojax.studies.family_dataset import families_dataset
-from vibrojax.studies.family_spec import SAME_HOPF, FamilySpec, family_spec
+from vibrojax.studies.family_data import SAME_HOPF, FamilySpec, families_dataset, family_spec
 
 SAME_CENTRE = 1e-3
 """Difference of the states, relative to their scales, up to which two Hopf points at one value are the same."""

@@ -38,7 +38,7 @@ from vibrojax.settings.fields import given, setting
 from vibrojax.studies import FAMILY_WORDS
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.family import continue_families
-from vibrojax.studies.family_spec import FamilySpec, family_spec
+from vibrojax.studies.family_data import FamilySpec, family_spec
 from vibrojax.studies.subjects import MachineAnalysis
 
 _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12

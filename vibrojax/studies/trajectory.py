@@ -41,8 +41,8 @@ from vibrojax.settings.values import choice
 from vibrojax.stepping import STEPPERS, AccuracyRequest, Smoothed, Stepper, stepper_named
 from vibrojax.stepping.located import LEAST_TOLERANCE
 from vibrojax.studies.analysis import PictureRule, SummaryPart
-from vibrojax.studies.frequencies import frequency_part
 from vibrojax.studies.subjects import MachineAnalysis, answered
+from vibrojax.studies.sweep import frequency_part
 from vibrojax.studies.trajectory_recording import adaptive, constants_at, default_sampling, recorded
 
 if TYPE_CHECKING:
