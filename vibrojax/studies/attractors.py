@@ -156,13 +156,10 @@ def _columns(
         of_orbit = table["impacts"] * repeats / lanes["cycles"].values.ravel()
         table["impacts"] = table["impacts"].where(repeats == 0, of_orbit)
     medians = table.where(np.isfinite(table)).groupby(of_lane).median().reindex(range(len(motions)))
-    states = list(of_orbits(sweep.system))
-    rows = np.full((len(motions), len(states)), np.nan)
-    for index, motion in enumerate(motions):
-        if motion.orbit is not None:
-            rows[index] = motion.orbit.states[0, 0]
-    values = {"regime": [motion.regime for motion in motions], "cycles": [motion.cycles for motion in motions]}
-    values |= {name: medians[name] for name in table} | dict(zip(states, rows.T, strict=True))
+    values: dict[str, Any] = {"regime": [x.regime for x in motions], "cycles": [x.cycles for x in motions]}
+    values |= {name: medians[name] for name in table}
+    for k, name in enumerate(of_orbits(sweep.system)):
+        values[name] = [np.nan if motion.orbit is None else motion.orbit.states[0, 0, k] for motion in motions]
     shape = lanes["regime"].size // lanes.sizes[START], int(number.max(initial=-1)) + 1
     columns = {name: np.full(shape, 0.0 if name in ("regime", "cycles") else np.nan) for name in values}
     for name, column in values.items():

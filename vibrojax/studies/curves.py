@@ -22,7 +22,7 @@ from vibrojax.periodic.curve_equations import EVENTS, CurveProblem
 from vibrojax.periodic.curve_following import Curve, crossings, follow_curves
 from vibrojax.periodic.event_map import conditions_of
 from vibrojax.periodic.orbits import Orbits
-from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, Points, check_changes_orbits
+from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, check_changes_orbits
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import ROTATION, Parameter, differing
@@ -38,7 +38,7 @@ from vibrojax.pictures.branches import (
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
-from vibrojax.settings.values import UnusualValue, quantity
+from vibrojax.settings.values import UnusualValue, count, quantity
 from vibrojax.studies.family_data import columns, read_span
 
 SAME_VALUE = 1e-7
@@ -198,36 +198,29 @@ def _names(place: Place, family: xr.Dataset) -> Names:
 
 def _special(place: Place, special: object, family: xr.Dataset, kinds: list[str]) -> list[int]:
     """Return the indices of the special points to continue."""
-    held = np.flatnonzero(np.isin(numbers_of(family, "special"), family_numbers(family))).tolist()
+    number = numbers_of(family, "special")
+    held = np.flatnonzero(np.isin(number, family_numbers(family))).tolist()
     if special is None:
-        continued = _distinct(family, [k for k in held if kinds[k] in CONTINUED])
-        if not continued:
+        values, (first, last) = family["special_value"].values, family.attrs["span"]
+        own_branch = list(zip(family["special_kind"].values, number, family["special_branch"].values, strict=True))
+        distinct: list[int] = []  # without those that a branch has passed before
+        for k in (k for k in held if kinds[k] in CONTINUED):
+            own = (values[i] for i in distinct if own_branch[i] == own_branch[k])
+            if all(abs(value - values[k]) > SAME_VALUE * (last - first) for value in own):
+                distinct.append(k)
+        if not distinct:
             raise place.error("the family has no special point that can be continued; follow it further")
-        return continued
-    given: list[Any] = list(special) if isinstance(special, list | tuple | np.ndarray) else [special]
-    if not given:
-        raise place.at("special").error("is empty; give numbers of special points, or leave it out")
-    for k in given:
-        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < len(kinds):
-            raise place.at("special").error(f"{shown(k)} is not a number from 0 to {len(kinds) - 1}")
+        return distinct
+    here, given = place.at("special"), special if isinstance(special, list | tuple | np.ndarray) else [special]
+    if not len(given):
+        raise here.error("is empty; give numbers of special points, or leave it out")
+    numbers = [count(here, k, 0, len(kinds) - 1) for k in given]
+    for k in numbers:
         if k not in held:
-            raise place.at("special").error(f"{k} is of a family that the dataset does not hold")
+            raise here.error(f"{k} is of a family that the dataset does not hold")
         if kinds[k] not in CONTINUED:
-            raise place.at("special").error(f"{k} is of the kind {kinds[k]}; continued are {', '.join(CONTINUED)}")
-    return [int(k) for k in given]
-
-
-def _distinct(family: xr.Dataset, special: list[int]) -> list[int]:
-    """Return the special points without those that a branch has passed before."""
-    kinds, values = family["special_kind"].values, family["special_value"].values
-    number, branch = numbers_of(family, "special"), family["special_branch"].values
-    first, last = family.attrs["span"]
-    kept: list[int] = []
-    for k in special:
-        own = [i for i in kept if (kinds[i], number[i], branch[i]) == (kinds[k], number[k], branch[k])]
-        if all(abs(values[i] - values[k]) > SAME_VALUE * (last - first) for i in own):
-            kept.append(k)
-    return kept
+            raise here.error(f"{k} is of the kind {kinds[k]}; continued are {', '.join(CONTINUED)}")
+    return numbers
 
 
 def read_line(
@@ -346,7 +339,9 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve])
     }
     located = {"codim2": ("at the point", [mark.orbit for _, mark in marks])}
     if spec.at is not None:
-        passed = [(k, point) for k, curve in enumerate(curves) for point in _crossings(problem, curve, spec.at)]
+        which, parts = names.index(spec.at[0]), [(k, part) for k, curve in enumerate(curves) for part in curve.parts]
+        with np.errstate(all="ignore"):
+            passed = [(k, point) for k, part in parts for point in crossings(problem, part, which, spec.at[1])]
         variables["crossing_curve"] = ("crossing", [k for k, _ in passed])
         located["crossing"] = ("where the curve crosses the line", [point for _, point in passed])
     for name in names:
@@ -406,11 +401,6 @@ def _points(problem: CurveProblem, curves: list[Curve]) -> tuple[dict[str, np.nd
             parts.append(part)
             number.append(np.full(len(part.u), index))
     return columns(problem, parts), np.concatenate(number)
-
-
-def _crossings(problem: CurveProblem, curve: Curve, line: tuple[str, float]) -> list[Points]:
-    with np.errstate(all="ignore"):
-        return [x for part in curve.parts for x in crossings(problem, part, problem.along.index(line[0]), line[1])]
 
 
 def _parameter(problem: CurveProblem, name: str) -> dict[str, str]:

@@ -87,13 +87,16 @@ def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
     orbits: dict[str, Any] = {}
     if "orbit_reason" in ds and not no_lanes:
         orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
-    natures = {} if no_lanes else flag_counts(ds, "nature")
+    natures, nature_lines = {} if no_lanes else flag_counts(ds, "nature"), list[str]()
+    if natures and "regime" in ds:
+        irregular = flag_counts(ds[["nature"]].where(_labelled(ds, "irregular")), "nature")
+        nature_lines = [f"{x:<14}{count:>9}{irregular.get(x, 0):>9} of them irregular" for x, count in natures.items()]
     reasons = flag_counts(ds, "reason") if "status" in ds else {}  # the reasons of a fit are not failures
     reasons.pop("none", None)
     parts = [
         SummaryPart("regimes", regime_lines, {"regimes": regimes}),
         SummaryPart("orbits", orbit_lines(ds), {"orbits": orbits}),
-        SummaryPart("natures", _nature_lines(ds), {"natures": natures}),
+        SummaryPart("natures", nature_lines, {"natures": natures}),
         SummaryPart("failures", _failure_lines(ds, "regime" in ds and not no_lanes), {"failures": reasons}),
         _accuracy(ds),
     ]
@@ -131,16 +134,6 @@ def orbit_lines(ds: xr.Dataset) -> list[str]:
 def _labelled(ds: xr.Dataset, *regimes: str) -> xr.DataArray:
     """Return which lanes have one of the `regimes`."""
     return ds["regime"].isin([flag for flag, name in flags(ds["regime"]).items() if name in regimes])
-
-
-def _nature_lines(ds: xr.Dataset) -> list[str]:
-    if "nature" not in ds or "regime" not in ds:
-        return []
-    irregular = flag_counts(ds[["nature"]].where(_labelled(ds, "irregular")), "nature")
-    return [
-        f"{name:<14}{count:>9}{irregular.get(name, 0):>9} of them irregular"
-        for name, count in flag_counts(ds, "nature").items()
-    ]
 
 
 def _rates(ds: xr.Dataset) -> SummaryPart:
