@@ -238,11 +238,8 @@ def enter_offered() -> None:
 
     This function is called when names are read, not on import, because the packages import this one.
     """
-    registries: list[tuple[dict[str, Any], type]] = [
-        (FRICTION_LAWS, FrictionLaw),
-        (STEPPERS, Stepper),
-        (GAUGES, Gauge),
-    ]
+    registries: list[tuple[type, dict[str, Any]]]
+    registries = [(FrictionLaw, FRICTION_LAWS), (Stepper, STEPPERS), (Gauge, GAUGES)]
     for entry in entry_points(group=_GROUP):
         try:
             offered = entry.load()
@@ -251,15 +248,14 @@ def enter_offered() -> None:
         else:
             if isinstance(offered, System):
                 continue  # a system is known by name once it is defined
-            tables = [table for table, kind in registries if isinstance(offered, kind)]
-            if isinstance(offered, type) and issubclass(offered, Scene):
-                tables = [SCENES]
+            is_scene = isinstance(offered, type) and issubclass(offered, Scene)
+            known = SCENES if is_scene else next((x for kind, x in registries if isinstance(offered, kind)), None)
             name = getattr(offered, "name", entry.name)
-            if tables and name not in tables[0]:
-                tables[0][name] = offered
+            if known is not None and name not in known:
+                known[name] = offered
                 continue
             problem = f'the name "{name}" is taken'
-            if not tables:
+            if known is None:
                 problem = f"{entry.value} is neither a law, a scene, a stepper nor a gauge"
         owner = entry.dist.name if entry.dist is not None else "a package"
         warnings.warn(f"{owner}: {_GROUP}: {entry.name}: {problem}; it is left out", stacklevel=2)

@@ -25,7 +25,7 @@ from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, check_changes_orbits
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.physics.parameters import ROTATION, Parameter, differing
+from vibrojax.physics.parameters import Parameter, differing
 from vibrojax.pictures.branches import (
     along_name,
     branches,
@@ -150,8 +150,6 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
     several = family_coordinates(family, "special")
     if "rock" in several:
         raise place.at("family").error("holds families of several rocks; follow those of one rock")
-    if by in (*ROTATION, "rpm") and by != "v":
-        raise place.at("by").error(f"{by} is not continued; give v")
     check_changes_orbits(place.at("by"), names.system, by)
     low, high = read_span(place, names, by, span)
     kinds = continued_kinds(family)

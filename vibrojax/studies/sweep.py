@@ -23,6 +23,7 @@ from vibrojax.pictures.overlays import ON_MAPS, refuse_overlays
 from vibrojax.pictures.plots import Picture
 from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.starts import many_starts
+from vibrojax.settings.run_settings import RunSettings
 from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
 
 if TYPE_CHECKING:
@@ -68,9 +69,6 @@ class Sweeps(Analysis):
 
 
 _FAILURES_SHOWN = 3
-
-DEFAULT_ACCEPTED_ERROR = 1e-4
-"""Relative error tolerance if the dataset states none: the default of sweep files."""
 
 
 def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
@@ -234,7 +232,7 @@ def _accuracy(ds: xr.Dataset) -> SummaryPart:
             facts["within"] = int((errors <= accepted).sum())
         if errors.size:
             facts |= {"median": float(np.median(errors)), "largest": float(errors.max())}
-            lines = _accuracy_lines(ds, errors, DEFAULT_ACCEPTED_ERROR if accepted is None else accepted)
+            lines = _accuracy_lines(ds, errors, RunSettings.error if accepted is None else accepted)
     if "regime" in ds and "check_regime" in ds:
         flips = int((ds["regime"].values != ds["check_regime"].values).sum())
         lines.append(f"{flips} of {ds['regime'].size} regimes differ at the check run's coarser resolution")
