@@ -42,7 +42,7 @@ def test_wrong_input_is_refused_in_one_line(tmp_path, capsys):
         InputError, match=r"accuracy: scenes\[1\]: .rotary. is there already, at \[0\]; give each scene once"
     ):
         run_accuracy(["rotary", "rotary"], quick=True, progress=False)
-    with pytest.raises(InputError, match='"rotory" is not a scene; did you mean "rotary"'):
+    with pytest.raises(InputError, match='"rotory" is unknown; did you mean "rotary"'):
         run_accuracy(["rotory"], progress=False)
     (tmp_path / "file").write_text("")
     assert "-o" in command_refusal(capsys, "accuracy", "-o", tmp_path / "file")

@@ -13,7 +13,7 @@ from refusals import command_refusal
 
 import vibrojax as vj
 from vibrojax.cli import _COMMANDS, main
-from vibrojax.cli.declared import DeclaredSetting, declared
+from vibrojax.cli.studies import DeclaredSetting, declared
 from vibrojax.settings.fields import meanings
 from vibrojax.studies import HOMES
 from vibrojax.studies.analysis import analysis_named

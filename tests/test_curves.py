@@ -145,7 +145,7 @@ def test_wrong_arguments_are_refused():
         ({"by": "a"}, "is the parameter of the family"),
         ({"span": (2.0, 3.0)}, "which is not between 2 and 3"),
         ({"special": []}, "special: is empty"),
-        ({"special": 99}, "is not a number from 0"),
+        ({"special": 99}, "a whole number from 0"),
         ({"at": {"damping": 0.1}}, "is not a or w with a value"),
     ):
         with pytest.raises(vj.InputError, match=words):

@@ -10,7 +10,7 @@ from systems import mass
 import vibrojax as vj
 from vibrojax.lanes.record import window
 from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.studies.frequencies import frequency_part
+from vibrojax.studies.sweep import frequency_part
 from vibrojax.studies.trajectory import feature_lines
 
 LANES = 96

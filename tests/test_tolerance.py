@@ -8,8 +8,7 @@ from refusals import command_refusal
 import vibrojax as vj
 from vibrojax.measures.labels import REGIMES
 from vibrojax.studies.analysis import analysis_of
-from vibrojax.studies.tolerance import INTERIOR_SAMPLES, PLACES, REFINED, sample_box
-from vibrojax.studies.tolerance_search import QUANTITIES, refine
+from vibrojax.studies.tolerance import INTERIOR_SAMPLES, PLACES, QUANTITIES, REFINED, refine, sample_box
 
 RUN = {"settle": 10.0, "observe": 5.0}
 MACHINE = {"beta": 0.4, "gamma": (0.75, 0.01), "delta": (0.005, 0.001), "start": "stuck"}

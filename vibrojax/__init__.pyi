@@ -54,12 +54,12 @@ from vibrojax.studies.curves import curves as curves
 from vibrojax.studies.design import design as design
 from vibrojax.studies.effects import study as study
 from vibrojax.studies.family import follow as follow
-from vibrojax.studies.frequencies import frequencies as frequencies
 from vibrojax.studies.push import smallest_push as smallest_push
 from vibrojax.studies.rig_analysis import rig as rig
 from vibrojax.studies.rop_law import fit_rop as fit_rop
 from vibrojax.studies.sensitivity import sensitivity as sensitivity
 from vibrojax.studies.subjects import SweepAnalysis as SweepAnalysis
+from vibrojax.studies.sweep import frequencies as frequencies
 from vibrojax.studies.tolerance import tolerance as tolerance
 from vibrojax.studies.trajectory import simulate as simulate
 from vibrojax.systems.events import Friction as Friction

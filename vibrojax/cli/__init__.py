@@ -14,7 +14,6 @@ import warnings
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib.metadata import EntryPoint, entry_points
 from typing import NoReturn
 
 from vibrojax.cli.arguments import Command, Options, either, flag
@@ -25,7 +24,7 @@ from vibrojax.cli.sweep import sweep
 from vibrojax.errors import InputError, printable, suggestion
 from vibrojax.io.files import package_version
 from vibrojax.progress import LOG, end_lines, timed
-from vibrojax.studies import glossary
+from vibrojax.studies import glossary, offered_analyses
 from vibrojax.threads import asked_to_end, in_own_thread, leave
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
@@ -165,7 +164,7 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
         raise
     except _MALFORMED as error:
         file = str(getattr(options, "file", ""))
-        packages = {entry.module.partition(".")[0] for entry in _registered().values()} - {"vibrojax"}
+        packages = {entry.module.partition(".")[0] for entry in offered_analyses().values()} - {"vibrojax"}
         modules = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
         own = next((name for name in modules if name.partition(".")[0] in packages), None)
         if not own and not file.endswith(_DATASETS):
@@ -180,17 +179,13 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
 def _command_of(name: str) -> Command | None:
     """Return a command of this package, or of an analysis that an installed package registers."""
     known = _COMMANDS.get(name)
-    if known is None and (entry := _registered().get(name)) is not None:
+    if known is None and (entry := offered_analyses().get(name)) is not None:
         return study_command(name, f"analysis of the package {entry.dist.name if entry.dist else '?'}")
     return study_command(known) if isinstance(known, str) else known
 
 
-def _registered() -> dict[str, EntryPoint]:
-    return {entry.name: entry for entry in entry_points(group="vibrojax.analyses") if entry.name not in _COMMANDS}
-
-
 def _names() -> list[str]:
-    return [*_COMMANDS, *_registered()]
+    return [*dict.fromkeys((*_COMMANDS, *offered_analyses()))]
 
 
 def _parser(words: Sequence[str]) -> ArgumentParser:

@@ -3,12 +3,11 @@
 import json
 import re
 import shlex
-from argparse import Namespace, RawDescriptionHelpFormatter
+from argparse import Namespace
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 from vibrojax.errors import Place, shown
-from vibrojax.studies import glossary
 
 AddArguments = Callable[[Any], object]
 """Function that adds arguments to a parser, or to a group of arguments of a parser."""
@@ -18,6 +17,9 @@ MANY: dict[str, Any] = {"action": "extend", "nargs": "+"}
 
 SWEEP = "a sweep: a bundled name such as regime-map, or the path of a TOML file; or "
 """Beginning of the help of FILE where it may be a sweep."""
+
+KEPT = "finished chunks are kept; to go on"
+"""Advice for a command whose chunks of lanes stay beside its output until that is written."""
 
 _HALF_WIDTH = re.compile(r"\+-|±|\+/-")
 
@@ -80,16 +82,6 @@ def words(about: str) -> AddArguments:
     """Declare NAME=VALUE, any number of them."""
     # Without a default, argparse before Python 3.13 requires the values.
     return argument("values", "NAME=VALUE", about, nargs="*", default=[])
-
-
-def explained(*terms: str) -> AddArguments:
-    """Add the definitions of terms to `--help`."""
-
-    def add(parser: Any) -> None:
-        parser.formatter_class = RawDescriptionHelpFormatter
-        parser.epilog = f"words used in the output:\n{glossary(*terms)}"
-
-    return add
 
 
 def result_options(default: str) -> tuple[AddArguments, ...]:

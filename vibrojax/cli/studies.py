@@ -1,11 +1,20 @@
-"""Commands of studies: those that follow from the class of an analysis, and the commands of the others."""
+"""Commands of studies: those that follow from the class of an analysis, and the commands of the others.
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+The arguments of a command follow from what the source of a study declares, without importing it: a study imports
+xarray, SciPy or jax, which takes longer than everything else that `--help` does.
+"""
+
+import ast
+import re
+from argparse import RawDescriptionHelpFormatter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from vibrojax.cli.arguments import (
+    KEPT,
     MANY,
     SWEEP,
     AddArguments,
@@ -13,16 +22,14 @@ from vibrojax.cli.arguments import (
     Options,
     argument,
     command,
-    explained,
     flag,
     named_values,
     result_options,
     words,
 )
-from vibrojax.cli.declared import DeclaredSetting, declared, summary_of
 from vibrojax.cli.output import draw, output, result
 from vibrojax.errors import InputError, Place, counted, shown
-from vibrojax.studies import HOMES
+from vibrojax.studies import HOMES, glossary
 
 if TYPE_CHECKING:
     from dataclasses import Field
@@ -30,7 +37,6 @@ if TYPE_CHECKING:
     import xarray
 
     from vibrojax.studies.analysis import Analysis
-    from vibrojax.studies.subjects import CheckedAnalysis, FileAnalysis, MachineAnalysis
 
 START = "start (a name, or [x1,x1',x2,x2'])"
 LISTS = (
@@ -49,26 +55,21 @@ def study_command(kind: str, summary: str = "") -> Command:
     """
 
     def add(parser: Any) -> None:
+        about = declared(module)[name] if kind in HOMES else _of_class(kind)
         if kind not in HOMES:
             parser.description = str(_class_of(kind).__doc__ or summary).splitlines()[0].rstrip(".")
-        for add_argument in _arguments(kind, _about(kind)):
+        if about["subject"] == "machines" and about["terms"]:
+            parser.formatter_class = RawDescriptionHelpFormatter
+            parser.epilog = f"words used in the output:\n{glossary(*about['terms'])}"
+        for add_argument in _arguments(kind, about):
             add_argument(parser)
 
-    return Command(summary or summary_of(*_home(kind)), (add,), lambda options: _run(kind, options))
+    module, _, name = f"vibrojax.studies.{HOMES.get(kind, '')}".partition(":")
+    return Command(summary or summary_of(module, name), (add,), lambda options: _run(kind, options))
 
 
-def _home(kind: str) -> tuple[str, str]:
-    """Return module and class of an analysis of this package."""
-    module, _, name = HOMES[kind].partition(":")
-    return f"vibrojax.studies.{module}", name
-
-
-def _about(kind: str) -> Mapping[str, Any]:
-    """Return attributes and settings of an analysis by name: as its source declares them, or of the imported class."""
-    if kind in HOMES:
-        module, name = _home(kind)
-        attributes: Mapping[str, Any] = declared(module)[name]
-        return attributes
+def _of_class(kind: str) -> Mapping[str, Any]:
+    """Return attributes and settings of an analysis of another package by name, as `declared` does of this one's."""
     from vibrojax.settings.fields import settings_of
 
     analysis = _class_of(kind)
@@ -91,8 +92,6 @@ def _arguments(kind: str, about: Mapping[str, Any]) -> Iterator[AddArguments]:
     """Yield the arguments of the command of an analysis with the attributes `about`."""
     settings = {name: value for name, value in about.items() if isinstance(value, DeclaredSetting)}
     if about["subject"] == "machines":
-        if about["terms"]:
-            yield explained(*about["terms"])
         yield argument("scene", "SCENE", about["scenes"])
         run = declared("vibrojax.settings.run_settings")["RunSettings"]
         text = f"parameters, and friction{LISTS * about['lists']}{TOLERANCES * about['tolerances']}. Also {START}"
@@ -117,33 +116,26 @@ def _option(name: str) -> str:
 
 
 def _run(kind: str, options: Options) -> None:
-    analysis: Any = _class_of(kind)
-    {"machines": _run_machines, "file": _run_file, "sweep": _run_sweep}[analysis.subject](analysis, options)
-
-
-def _run_machines(analysis_class: "type[MachineAnalysis[Any]]", options: Options) -> None:
-    about = analysis_class
-    place = Place(about.command or about.kind)
-    values, parameters = named_values(place, options.values, about.words(), about.lists, about.tolerances)
-    analysis, machines = about.asked(options.scene, about.of_words(values), parameters)
-    _answer(options, analysis, machines, analysis.file_name(machines))
-
-
-def _run_file(analysis_class: "type[FileAnalysis[Any]]", options: Options) -> None:
-    from vibrojax.io.log_columns import read_columns
-
-    analysis = analysis_class()
-    columns = read_columns(options.columns or []) if analysis.columns else None
-    request, stem = analysis.asked(options.file, columns), Path(options.file).stem
-    default = f"{stem}.nc" if stem.endswith(analysis.kind) else f"{stem}-{analysis.kind}.nc"
-    if analysis.chunks:
-        _advise_to_go_on(options, str(options.command), options.file, "-o", options.out or default)
-    _answer(options, analysis, request, default)
-
-
-def _answer(options: Options, analysis: "CheckedAnalysis[Any]", request: Any, default: str) -> None:
-    """Compute and print what an analysis has checked, unless its file holds the result."""
+    """Check the input of an analysis; compute and print its result, unless the file of the result holds it."""
+    about: Any = _class_of(kind)
+    if about.subject == "sweep":
+        _run_sweep(about, options)
+        return
     from vibrojax.studies.analysis import checked_result
+
+    if about.subject == "machines":
+        place = Place(about.command or kind)
+        values, parameters = named_values(place, options.values, about.words(), about.lists, about.tolerances)
+        analysis, request = about.asked(options.scene, about.of_words(values), parameters)
+        default = analysis.file_name(request)
+    else:
+        from vibrojax.io.log_columns import read_columns
+
+        analysis, stem = about(), Path(options.file).stem
+        request = analysis.asked(options.file, read_columns(options.columns or []) if about.columns else None)
+        default = f"{stem}.nc" if stem.endswith(kind) else f"{stem}-{kind}.nc"
+        if about.chunks:
+            options.advise(KEPT, str(options.command), options.file, "-o", options.out or default)
 
     def computed(out: Path) -> "nullcontext[xarray.Dataset]":
         dataset = analysis.compute_beside(request, out, not options.fresh, not options.quiet)
@@ -181,7 +173,7 @@ def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
         lanes: Any = nullcontext(source)
         if not (is_dataset and holds_orbits(source)):
             # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
-            _advise_to_go_on(options, *again)
+            options.advise(KEPT, *again)
             lanes = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)
         with lanes as dataset:
             yield checked_result(analysis, analysis.of_lanes(sweep, dataset, progress))
@@ -215,10 +207,6 @@ def _setting(field: "Field[Any]", text: str) -> object:
         raise InputError(f"{option}: {shown(text)} is not a number") from None
 
 
-def _advise_to_go_on(options: Options, *again: str) -> None:
-    options.advise("finished chunks are kept; to go on", *again)
-
-
 @command(
     argument("file", "FILE", SWEEP + "a sweep's dataset (.nc); its sweep is then run again"),
     *result_options("NAME-orbits.nc"),
@@ -235,7 +223,7 @@ def orbits(options: Options) -> None:
     sweep = sweep_with_orbits(open_dataset(Path(file)) if is_dataset else file)
 
     def computed(out: Path) -> "nullcontext[xarray.Dataset]":
-        _advise_to_go_on(options, "orbits", file, "-o", str(out))
+        options.advise(KEPT, "orbits", file, "-o", str(out))
         return nullcontext(run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet))
 
     ds = result(
@@ -319,3 +307,96 @@ def accuracy(options: Options) -> None:
     drawn = draw(options, dataset, out)
     if not options.quiet:
         print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {out}{drawn.replace(';', ',', 1)}")
+
+
+# Declarations in the source of studies.
+
+
+PACKAGE = Path(__file__).parents[1]
+
+
+class DeclaredSetting(NamedTuple):
+    """A setting: its meaning, its default (None if the source computes it), and the name of its value in `--help`."""
+
+    help: str = ""
+    default: Any = None
+    metavar: str | None = None
+
+
+def summary_of(module: str, name: str) -> str:
+    """Return the first line of the docstring of a class, without its full stop; parsing the module takes longer."""
+    match = re.search(rf'^class {name}\b[^:]*:\n    """(.+?)\.?("""|\n)', _source(module), re.MULTILINE)
+    return match[1] if match else ""
+
+
+@cache
+def declared(module: str) -> "Declared":
+    """Return the declarations of a module of this package."""
+    return Declared(ast.parse(_source(module)).body)
+
+
+def _source(module: str) -> str:
+    path = PACKAGE.joinpath(*module.split(".")[1:])
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    return path.read_text(encoding="utf-8")
+
+
+class Declared(dict[str, Any]):
+    """The constants and classes of a module, each evaluated when it is looked up.
+
+    A class is a dict of its attributes, with those of its bases. What calls a function is unknown: its name is missing.
+    """
+
+    def __init__(self, body: Sequence[ast.stmt]) -> None:
+        self._definitions = dict(_definitions(body))
+
+    def __missing__(self, name: str) -> Any:
+        self[name] = self._evaluated(name, self._definitions[name])
+        return self[name]
+
+    def _evaluated(self, name: str, node: ast.AST) -> Any:
+        match node:
+            case ast.ImportFrom(module=str(home)) if home.startswith("vibrojax."):
+                return declared(home)[name]
+            case ast.ClassDef():
+                return self._attributes(node)
+            case ast.Call(func=ast.Name(id="setting"), args=[default, meaning]):
+                return DeclaredSetting(self._evaluated("", meaning), self._default(default))
+            case ast.Call(func=ast.Name(id="field"), keywords=keywords):
+                values = {str(keyword.arg): keyword.value for keyword in keywords}
+                about = self._evaluated("", values["metadata"])
+                return DeclaredSetting(about.get("help", ""), self._default(values["default"]), about.get("metavar"))
+            case ast.expr():
+                return eval(compile(ast.Expression(node), "<source>", "eval"), {}, self)
+        raise KeyError(name)
+
+    def _default(self, node: ast.expr) -> Any:
+        with suppress(Exception):
+            return self._evaluated("", node)
+        return None
+
+    def _attributes(self, node: ast.ClassDef) -> dict[str, Any]:
+        attributes: dict[str, Any] = {}
+        for base in node.bases:
+            with suppress(KeyError):  # a class of another package
+                attributes |= self[ast.unparse(base.value if isinstance(base, ast.Subscript) else base)]
+        for name, value in _definitions(node.body):
+            with suppress(Exception):  # pictures and the like, which need functions
+                attributes[name] = self._evaluated(name, value)
+        return attributes
+
+
+def _definitions(body: Sequence[ast.stmt]) -> Iterator[tuple[str, ast.AST]]:
+    """Yield each name that statements define, with its value, class or import."""
+    for node in body:
+        match node:
+            case ast.ImportFrom():
+                yield from ((alias.name, node) for alias in node.names)
+            case ast.ClassDef():
+                yield node.name, node
+            case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value):
+                yield name, value
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                yield name, value
+            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
+                yield from zip(map(ast.unparse, names), values, strict=True)

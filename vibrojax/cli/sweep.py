@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vibrojax.cli.arguments import Options, argument, command, either, flag
+from vibrojax.cli.arguments import KEPT, Options, argument, command, either, flag
 from vibrojax.cli.output import ZARR, output, result
 from vibrojax.errors import InputError, counted, shown
 from vibrojax.io.files import size_text, time_text
@@ -70,7 +70,7 @@ def sweep(options: Options) -> None:
     def computed(out: Path) -> "Iterator[xarray.Dataset]":
         again = [word for change in options.changes for word in ("--set", change)] + ["-o", str(out)]
         again += ["--workers", options.workers] if options.workers else []
-        options.advise("finished chunks are kept; to go on", "sweep", options.sweep, *again)
+        options.advise(KEPT, "sweep", options.sweep, *again)
         with engine(out) as executor:
             dataset = run_to_file(plan, out, not options.fresh, progress, executor, meanwhile=_prepare_output)
         yield dataset

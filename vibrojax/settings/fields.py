@@ -74,7 +74,8 @@ class Settings:
         known = settings_of(cls)
         given = {name: value for name, value in values.items() if value is not None or name not in known}
         known_keys(place, given, known, cls.advice)
-        missing = [name for name, item in known.items() if name not in given and _is_required(item)]
+        required = (name for name, x in known.items() if x.default is MISSING and x.default_factory is MISSING)
+        missing = [name for name in required if name not in given]
         if missing:
             raise place.error(f"{' and '.join(missing)} missing; {known[missing[0]].metadata['help']}")
         settings = cls(**{name: read_setting(place.at(name), known[name], value) for name, value in given.items()})
@@ -134,7 +135,3 @@ def read_setting(place: Place, item: "Field[Any]", value: Any) -> Any:
     if kind is str and not (isinstance(value, str) and value):
         raise place.error(f"{shown(value)} is not a name; write one")
     return value
-
-
-def _is_required(item: "Field[Any]") -> bool:
-    return item.default is MISSING and item.default_factory is MISSING

@@ -35,9 +35,6 @@ _DERIVED = {
 _RESULTS = ("blow_frequency", "blows", "blow_rate", "blows_per_minute", "bpm")
 """Words for the number of blows per minute, which follows from the motion."""
 
-_LACKING = {"friction": "does not slide"}
-"""Wording for a scene without an option, used in messages."""
-
 
 def known_options() -> dict[str, Mapping[str, object]]:
     """Return the options of all registered scenes, each with its possible values by name."""
@@ -216,7 +213,7 @@ def read_names(
     for option, value in chosen.items():
         here = (table_place or place).at(option)
         if option not in options:
-            lacks = _LACKING.get(option, f"has no {option}")
+            lacks = "does not slide" if option == "friction" else f"has no {option}"
             raise here.error(f"scene {shown(system.name)} {lacks}; leave it out")
         values = system.choices[option]
         is_value = not isinstance(value, str) and isinstance(value, tuple({type(x) for x in values.values()}))
@@ -241,11 +238,8 @@ def enter_offered() -> None:
 
     This function is called when names are read, not on import, because the packages import this one.
     """
-    registries: list[tuple[dict[str, Any], type]] = [
-        (FRICTION_LAWS, FrictionLaw),
-        (STEPPERS, Stepper),
-        (GAUGES, Gauge),
-    ]
+    registries: list[tuple[type, dict[str, Any]]]
+    registries = [(FrictionLaw, FRICTION_LAWS), (Stepper, STEPPERS), (Gauge, GAUGES)]
     for entry in entry_points(group=_GROUP):
         try:
             offered = entry.load()
@@ -254,15 +248,14 @@ def enter_offered() -> None:
         else:
             if isinstance(offered, System):
                 continue  # a system is known by name once it is defined
-            tables = [table for table, kind in registries if isinstance(offered, kind)]
-            if isinstance(offered, type) and issubclass(offered, Scene):
-                tables = [SCENES]
+            is_scene = isinstance(offered, type) and issubclass(offered, Scene)
+            known = SCENES if is_scene else next((x for kind, x in registries if isinstance(offered, kind)), None)
             name = getattr(offered, "name", entry.name)
-            if tables and name not in tables[0]:
-                tables[0][name] = offered
+            if known is not None and name not in known:
+                known[name] = offered
                 continue
             problem = f'the name "{name}" is taken'
-            if not tables:
+            if known is None:
                 problem = f"{entry.value} is neither a law, a scene, a stepper nor a gauge"
         owner = entry.dist.name if entry.dist is not None else "a package"
         warnings.warn(f"{owner}: {_GROUP}: {entry.name}: {problem}; it is left out", stacklevel=2)

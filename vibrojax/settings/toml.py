@@ -9,7 +9,6 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from os import PathLike
 from pathlib import Path, PurePath
 from typing import Any
@@ -165,14 +164,9 @@ def plain_table(place: Place, value: Mapping[str, object], units: Units = dict) 
         if not isinstance(key, str):
             raise place.error(f"{shown(key)} is not a name; keys are text")
     if "scene" in value:
-        units = partial(_units_of, place, value)
+        options: Any = value["parameters"] if isinstance(value.get("parameters"), Mapping) else {}
+        units = lambda: read_names(place.at("scene"), value["scene"], dict(options), place.at("parameters")).units  # noqa: E731
     return {key: plain(place.at(key), item, units) for key, item in value.items()}
-
-
-def _units_of(place: Place, table: Mapping[str, Any]) -> Mapping[str, str]:
-    """Return the units of what can be assigned in the scene of a table, with the options that it chooses."""
-    options = table["parameters"] if isinstance(table.get("parameters"), Mapping) else {}
-    return read_names(place.at("scene"), table["scene"], dict(options), place.at("parameters")).units
 
 
 def plain(place: Place, value: object, units: Units = dict) -> object:

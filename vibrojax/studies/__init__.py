@@ -1,5 +1,8 @@
 """Analyses of scenes and datasets, where they are; and definitions of the terms in their output."""
 
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+
 HOMES = {
     "sweep": "sweep:Sweeps",
     "trajectory": "trajectory:Trajectories",
@@ -18,6 +21,16 @@ HOMES = {
     "sensitivity": "sensitivity:Sensitivity",
 }
 """Module and class of each of the package's own analyses, which are imported when they are needed."""
+
+GROUP = "vibrojax.analyses"
+"""Entry-point group in which an installed package registers its analyses, as `NAME = "module:Class"`."""
+
+
+@cache
+def offered_analyses() -> dict[str, EntryPoint]:
+    """Return the entry points of analyses in installed packages, by kind; vibrojax's own kinds cannot be replaced."""
+    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in HOMES}
+
 
 WORDS = {
     "lane": "one simulation of a sweep, with one set of parameter values and one start (initial condition)",

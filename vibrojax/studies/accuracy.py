@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from vibrojax.compile.xla import usable_cores, workers
-from vibrojax.errors import InputError, Place, counted, printable, suggestion
+from vibrojax.errors import Place, counted, printable
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.contents import SETTING
@@ -39,7 +39,7 @@ from vibrojax.pictures.plots import (
 )
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasRock
-from vibrojax.settings.values import check_distinct
+from vibrojax.settings.values import check_distinct, choice
 from vibrojax.stepping import Accuracy
 from vibrojax.studies.accuracy_programs import REFERENCE as FINE
 from vibrojax.studies.accuracy_programs import (
@@ -118,9 +118,8 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     True
     """
     scenes = tuple(scenes or (QUICK_SCENES if quick else SCENES))
-    for scene in scenes:
-        if scene not in SCENES:
-            raise InputError(f'accuracy: "{scene}" is not a scene; {suggestion(scene, SCENES)}')
+    for index, scene in enumerate(scenes):
+        choice(Place("accuracy", "scenes").item(index), scene, SCENES)
     check_distinct(Place("accuracy", "scenes"), scenes, "scene")
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
@@ -214,12 +213,10 @@ def compared(features: Features, reference: Features) -> tuple[Int[np.ndarray, "
     them. A motion is another one if impacts per return differ by more than 5 %, or the error is a half or more. It need
     not be periodic to 1e-3: coarse steps cause more jitter, but the means belong to the same motion.
     """
-    names: list[str] = [name for name in ("period", "impact_velocity") if name in reference]
-    names = names or ["rate_of_penetration"]
-    differences = [np.abs(features[name].astype(float) - reference[name]) for name in names]
+    names = [str(name) for name in ("period", "impact_velocity") if name in reference] or ["rate_of_penetration"]
+    pairs = [(np.abs(features[name].astype(float) - reference[name]), np.abs(reference[name])) for name in names]
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = [x / np.abs(reference[name]) for x, name in zip(differences, names, strict=True)]
-    error = reduce(np.fmax, [np.where(x == 0, 0.0, y) for x, y in zip(differences, relative, strict=True)])
+        error = reduce(np.fmax, [np.where(x == 0, 0.0, x / size) for x, size in pairs])
     other = ~(error < OTHER_MOTION_ERROR)
     if "impacts" in reference:
         impacts, expected = (

@@ -5,9 +5,7 @@ Known are the package's own analyses, those of installed packages, and those use
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import xarray as xr
@@ -16,7 +14,7 @@ from vibrojax.errors import InputError, Place, printable, shown
 from vibrojax.io.kinds import KIND, check_structure, dataset_attributes, kind_of
 from vibrojax.io.variables import Variable, described
 from vibrojax.settings.fields import Settings
-from vibrojax.studies import HOMES
+from vibrojax.studies import GROUP, HOMES, offered_analyses
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -209,9 +207,6 @@ class Analysis(Settings):
         return xr.Dataset(described(variables, self.variables), described(coords, self.variables), attrs)
 
 
-GROUP = "vibrojax.analyses"
-"""Entry-point group in which an installed package registers its analyses, as `NAME = "module:Class"`."""
-
 _USED: dict[str, Analysis] = {}
 """Analyses by kind that were passed to `analyse` in this process."""
 
@@ -282,12 +277,6 @@ def analysis_named(kind: str) -> Analysis | None:
         return _USED[kind]
     entry = offered_analyses().get(kind)
     return None if entry is None else load_analysis(entry)()
-
-
-@cache
-def offered_analyses() -> dict[str, Any]:
-    """Return the entry points of analyses in installed packages, by kind; vibrojax's own kinds cannot be replaced."""
-    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in HOMES}
 
 
 def load_analysis(entry: Any) -> type[Analysis]:

@@ -21,7 +21,7 @@ from vibrojax.physics.arrays import Array, check_untraced
 from vibrojax.scenes import Scene
 from vibrojax.settings.run_settings import read_settings
 from vibrojax.settings.toml import plain
-from vibrojax.settings.values import quantity
+from vibrojax.settings.values import choice, quantity
 from vibrojax.studies.sensitivity import read_names, read_orbit_point, sweep_at
 
 MAX_CACHED = 1024
@@ -36,6 +36,9 @@ ends, and the least, which is the distance of the last orbit from the end."""
 
 SEARCHED = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Relative changes of the parameters at which the first orbit is searched, if there is none at the first point."""
+
+_EVALUATING = Lock()
+"""Held while a branch is evaluated, whose first orbit and known results several threads of jax would change."""
 
 Points = Float[np.ndarray, "lanes by"]
 
@@ -72,13 +75,6 @@ class Branch:
         self._slopes: OrbitFeatures | None = None
         self._begun = False
         self._cached: dict[bytes, Evaluated] = {}
-        self._lock = Lock()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_cached": {}, "_lock": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__ |= state | {"_lock": Lock()}
 
     def evaluate(self, x: Points) -> Evaluated:
         """Return the features at the points `x`; without an orbit there, of the last orbit on the way from the first.
@@ -87,7 +83,7 @@ class Branch:
         """
         if not len(x):
             return self.unknown(0)
-        with self._lock, np.errstate(all="ignore"):
+        with _EVALUATING, np.errstate(all="ignore"):
             keys = [row.tobytes() for row in x]
             new = {key: row for key, row in zip(keys, x, strict=True) if np.isfinite(row).all()}
             new = {key: row for key, row in new.items() if key not in self._cached}
@@ -130,9 +126,8 @@ class Branch:
     def unknown(self, size: int) -> Evaluated:
         """Return the features of points without an orbit."""
         shape = (size, len(self.of), len(self.by))
-        return Evaluated(
-            np.full(shape[:2], np.nan), np.full(shape, np.nan), np.zeros(size, bool), np.full(shape[::2], np.nan)
-        )
+        values, slopes, reached = (np.full(x, np.nan) for x in (shape[:2], shape, shape[::2]))
+        return Evaluated(values, slopes, np.zeros(size, bool), reached)
 
     def _evaluate(self, x: Points) -> Evaluated:
         if not self._begun:
@@ -210,8 +205,6 @@ def settled_at(point: Point, by: Sequence[str], rows: Points) -> Features:
     sweep = sweep_at(point, {name: rows[:, k] for k, name in enumerate(by)}, run)
     return run_lanes(sweep.inputs(), sweep.plan).variables
 
-
-OUTSIDE = ("nearest", "nan")
 
 VALID, LOGARITHM = "valid", "margin"
 """Names of the outputs in addition to the features: whether the point has an orbit, and the stability margin."""
@@ -346,8 +339,7 @@ def as_jax(
     'beyond-branch'
     """
     place = Place("as_jax")
-    if outside not in OUTSIDE:
-        raise place.at("outside").error(f"{shown(outside)} is unknown; choose from {', '.join(OUTSIDE)}")
+    choice(place.at("outside"), outside, ("nearest", "nan"))
     point = read_orbit_point(place, scene, fixed, start)
     names = read_names(place.at("of"), of, orbit_variables(point.system))
     table = point.system.parameters()

@@ -109,11 +109,6 @@ class Motion:
         return 0 if self.orbit is None else self.orbit.states.shape[1]
 
 
-def stderr_name(statistic: str) -> str:
-    """Return the name of the relative standard error of a statistic."""
-    return f"{statistic}_stderr"
-
-
 def with_long_statistics(
     sweep: Sweep, dataset: xr.Dataset, lanes: Index, fewest: int = FEWEST_WINDOWS, progress: bool = True
 ) -> xr.Dataset:
@@ -146,7 +141,7 @@ def with_long_statistics(
                 windows = [window[:, ~done] for window in windows]
     columns: dict[str, tuple[np.ndarray, object]] = {"converged": (long.converged, True)}
     for name, values, errors in zip(names, long.values, long.errors, strict=True):
-        columns |= {name: (values, np.nan), stderr_name(name): (errors, 0.0)}
+        columns |= {name: (values, np.nan), f"{name}_stderr": (errors, 0.0)}
     variables = {}
     for name, (values, fill) in columns.items():
         before = dataset[name] if name in dataset else xr.full_like(dataset["regime"], fill, values.dtype)
@@ -260,7 +255,7 @@ def irregular_groups(dataset: xr.Dataset, starts: int) -> list[list[Index]]:
         irregular &= dataset["converged"].values.ravel()
     resolution = np.log1p(IRREGULAR_WITHIN)
     values = _log_statistics(dataset)
-    names = [stderr_name(name) for name in STATISTICS if name in dataset]
+    names = [f"{name}_stderr" for name in STATISTICS if name in dataset]
     errors = [dataset[name].values.ravel() if name in dataset else np.zeros(len(values)) for name in names]
     values, margins = values / resolution, RESOLUTION_STDERRS * np.stack(errors, axis=1) / resolution
     if "nature" in dataset:

@@ -46,7 +46,7 @@ from vibrojax.pictures.plots import (
 )
 from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
-from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
+from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, analyse
 from vibrojax.studies.attractor_groups import Motion
 from vibrojax.studies.subjects import SweepAnalysis
 
@@ -137,8 +137,7 @@ def attractors(
     >>> att.impact_velocity.round(1).values.tolist()  # m/s: both are single impacts
     [[0.7, 3.0]]
     """
-    analysis = Attractors()
-    return checked_result(analysis, analysis.run(source, progress))
+    return analyse(source, Attractors(), progress)
 
 
 def _columns(
@@ -157,13 +156,10 @@ def _columns(
         of_orbit = table["impacts"] * repeats / lanes["cycles"].values.ravel()
         table["impacts"] = table["impacts"].where(repeats == 0, of_orbit)
     medians = table.where(np.isfinite(table)).groupby(of_lane).median().reindex(range(len(motions)))
-    states = list(of_orbits(sweep.system))
-    rows = np.full((len(motions), len(states)), np.nan)
-    for index, motion in enumerate(motions):
-        if motion.orbit is not None:
-            rows[index] = motion.orbit.states[0, 0]
-    values = {"regime": [motion.regime for motion in motions], "cycles": [motion.cycles for motion in motions]}
-    values |= {name: medians[name] for name in table} | dict(zip(states, rows.T, strict=True))
+    values: dict[str, Any] = {"regime": [x.regime for x in motions], "cycles": [x.cycles for x in motions]}
+    values |= {name: medians[name] for name in table}
+    for k, name in enumerate(of_orbits(sweep.system)):
+        values[name] = [np.nan if motion.orbit is None else motion.orbit.states[0, 0, k] for motion in motions]
     shape = lanes["regime"].size // lanes.sizes[START], int(number.max(initial=-1)) + 1
     columns = {name: np.full(shape, 0.0 if name in ("regime", "cycles") else np.nan) for name in values}
     for name, column in values.items():
@@ -338,7 +334,6 @@ class Attractors(SweepAnalysis):
     )
 
     def sweep(self, source: Source) -> Sweep:
-        """Return the validated sweep; raise `InputError` if the analysis does not apply to it."""
         if isinstance(source, xr.Dataset) and LANES in source:
             raise InputError("attractors: the dataset holds attractors already; give the sweep, or its dataset")
         sweep = sweep_with_orbits(source)
@@ -351,7 +346,6 @@ class Attractors(SweepAnalysis):
         return sweep
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
-        """Return the attractors of a sweep, from the dataset `lanes` with orbits."""
         *dims, _ = sweep.dims
         *shape, starts = sweep.shape
         lanes = lanes.transpose(*sweep.dims, ...)
@@ -394,7 +388,6 @@ class Attractors(SweepAnalysis):
         )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Summarise how many attractors coexist at how many points, and fraction, points and regimes of each."""
         grid = [name for name in ds["share"].dims if name != ATTRACTOR]
         unassigned, lanes = int(ds["unassigned"].sum()), ds[LANES].size
         share = ds["share"].values.reshape(ds["unassigned"].size, ds.sizes[ATTRACTOR])
@@ -410,9 +403,8 @@ class Attractors(SweepAnalysis):
             kinds, sizes = np.unique(regime[mask, number], return_counts=True)
             names = ", ".join(meanings[int(kinds[k])] for k in np.argsort(-sizes, kind="stable"))
             percent = 100 * share[:, number].mean()
-            lines.append(
-                f"attractor {number}: {percent:.1f} % of starts, at {counted(int(mask.sum()), 'point')}: {names}"
-            )
+            where = counted(int(mask.sum()), "point")
+            lines.append(f"attractor {number}: {percent:.1f} % of starts, at {where}: {names}")
         if share.shape[1] > _SHOWN:
             lines.append(f"and {share.shape[1] - _SHOWN} more of smaller shares")
         facts = {"shares": ds["share"].mean(grid).values, "unassigned": unassigned}

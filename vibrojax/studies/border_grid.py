@@ -149,12 +149,8 @@ def _continue_edges(
 
     Return the kind of each orbit's loss, or `ARRIVED`, and the parameter and the state at its last point.
     """
-    lanes, kinds, values, last_states = (
-        np.arange(len(begin)),
-        np.full(len(begin), NO_ORBIT),
-        begin.copy(),
-        states.copy(),
-    )
+    lanes, kinds = np.arange(len(begin)), np.full(len(begin), NO_ORBIT)
+    values, last_states = begin.copy(), states.copy()
 
     def enter(points: Points, kind: Any) -> None:
         edges = points.family

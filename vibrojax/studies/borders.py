@@ -29,9 +29,10 @@ from vibrojax.pictures.axes import axis, edges, margins, share_text, value_text,
 from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_layers
 from vibrojax.pictures.plots import Cells, Plot, Sheet, Text, patch
 from vibrojax.scenes import HasImpacts
-from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, checked_result
+from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, analyse
 from vibrojax.studies.border_curves import Border, ContinuedBorders, crossings_of
 from vibrojax.studies.border_grid import GridOrbit, OrbitGrid, OrbitLoss, Vertex, around_region
+from vibrojax.studies.curves import read_line
 from vibrojax.studies.subjects import SweepAnalysis
 
 WHERE = {
@@ -98,21 +99,7 @@ def borders(
     >>> cur.attrs["begun_from"].partition(";")[0].partition(" from ")[2]
     'points located on a grid of 2 x 2'
     """
-    analysis = Borders(axes, at)
-    return checked_result(analysis, analysis.run(source, progress))
-
-
-def line_of(sweep: Sweep, names: tuple[str, str], at: object) -> tuple[str, float] | None:
-    """Return the parameter and the value at which crossings are located, or None."""
-    if at is None:
-        return None
-    name, value = next(iter(at.items())) if isinstance(at, Mapping) and len(at) == 1 else ("", None)
-    if name not in names or isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise InputError(f"borders: at: {shown(at)} is not {' or '.join(names)} with a value; give one of them")
-    low, high = float(sweep.axes[name].min()), float(sweep.axes[name].max())
-    if not low <= value <= high:
-        raise InputError(f"borders: at: {name}: {value:g} is not between {low:g} and {high:g}, the ends of the axis")
-    return name, float(value)
+    return analyse(source, Borders(axes, at), progress)
 
 
 def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
@@ -353,26 +340,26 @@ class Borders(SweepAnalysis):
     pictures = (PictureRule("borders", lambda held: True, border_curves),)
 
     def sweep(self, source: Source) -> Sweep:
-        """Return the checked sweep; raise `InputError` if it has no suitable plane."""
         sweep = sweep_with_orbits(source)
         self._line(sweep)
         return sweep
 
     def _line(self, sweep: Sweep) -> tuple[str, float] | None:
-        at: Any = self.at
+        """Return the parameter and the value at which crossings are located, or None."""
+        at = self.at
+        axes = {name: sweep.axes[name] for name in plane_axes(sweep, self.axes)}
+        spans = {name: (float(x.min()), float(x.max())) for name, x in axes.items()}
         if isinstance(at, str):
             name, _, text = at.partition("=")
             at = {name.strip(): text}
-            with suppress(ValueError):  # `line_of` reports the text
-                at[name.strip()] = float(text)
-        return line_of(sweep, plane_axes(sweep, self.axes), at)
+            with suppress(ValueError):  # the text is reported below
+                at = {name.strip(): float(text)}
+        return read_line(Place("borders").at("at"), sweep.system.parameters(), at, spans)
 
     def identity(self, sweep: Sweep) -> dict[str, object]:
-        """Return the axes of the plane, on which the result depends."""
         return {self.kind: [*plane_axes(sweep, self.axes), *(self._line(sweep) or ())]}
 
     def of_lanes(self, sweep: Sweep, lanes: xr.Dataset, progress: bool = True) -> xr.Dataset:
-        """Return the borders; `lanes`: dataset of the sweep with orbits."""
         return Regions(sweep, lanes, plane_axes(sweep, self.axes)).borders(self._line(sweep), progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:

@@ -59,9 +59,9 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     names = read_names(Place("scenes"), scene)
     choices = _parameters_of_choices(names)
     shared = set(names.parameters).difference(*choices.values())
-    groups = [("", [parameter for name, parameter in names.parameters.items() if name in shared])]
+    found = [("", parameter) for name, parameter in names.parameters.items() if name in shared]
     for choice, parameters in choices.items():
-        groups.append((choice, [parameter for name, parameter in parameters.items() if name not in shared]))
+        found += [(choice, parameter) for name, parameter in parameters.items() if name not in shared]
     for name, parameter in substitutes(names.parameters).items():
         partner = {"rpm": ", together with bit_radius", "bit_radius": ", together with rpm"}.get(name, "")
         where = f"given in place of {REPLACED[name]}{partner}"
@@ -69,7 +69,7 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
             meaning = "radius of the hole and of the circle on which the bit slides"
             parameter = replace(parameter, default=HOLE_RADIUS, long_name=meaning)
             where = f"needed for specific_energy, or {where}"
-        groups.append((where, [parameter]))
+        found.append((where, parameter))
     rows = [
         {
             "name": parameter.name,
@@ -81,8 +81,7 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
             "meaning": parameter.long_name,
             "where": where,
         }
-        for where, parameters in groups
-        for parameter in parameters
+        for where, parameter in found
     ]
     return pd.DataFrame(rows).set_index("name")
 

@@ -27,7 +27,7 @@ from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.selection import Value, select, thin_out, thinned_text
 from vibrojax.pictures.starts import many_starts, medians, medians_text, varied_states
 from vibrojax.pictures.style import COLOURS, SAVED_DPI, drawable, settings
-from vibrojax.settings.values import check_distinct
+from vibrojax.settings.values import check_distinct, choice
 from vibrojax.studies.analysis import analysis_of
 
 # Files contain no date, so that the same dataset gives the same file.
@@ -90,8 +90,7 @@ def picture(
     if diagram is not None:
         from vibrojax.studies.diagrams import DIAGRAMS
 
-        if diagram not in DIAGRAMS:
-            raise InputError(f"diagram: {shown(diagram)} is unknown; {suggestion(str(diagram), DIAGRAMS)}")
+        choice(Place("diagram"), diagram, DIAGRAMS)
         if variable is not None or over is not None:
             raise InputError(f"diagram: {diagram} draws its own variables; leave variable and over out")
     layers = as_layers(over)

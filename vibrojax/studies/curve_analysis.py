@@ -103,5 +103,4 @@ class Curves(Analysis):
     pictures = (PictureRule("curves of special points", lambda held: True, curves_picture),)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the curves with their ends, the points of codimension two and the crossings."""
         return [SummaryPart("curves", curves_lines(ds), {"curves": curves_facts(ds)})]

@@ -22,10 +22,10 @@ from vibrojax.periodic.curve_equations import EVENTS, CurveProblem
 from vibrojax.periodic.curve_following import Curve, crossings, follow_curves
 from vibrojax.periodic.event_map import conditions_of
 from vibrojax.periodic.orbits import Orbits
-from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, Points, check_changes_orbits
+from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, check_changes_orbits
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.physics.parameters import ROTATION, differing
+from vibrojax.physics.parameters import Parameter, differing
 from vibrojax.pictures.branches import (
     along_name,
     branches,
@@ -38,9 +38,8 @@ from vibrojax.pictures.branches import (
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import Names, read_names
-from vibrojax.settings.values import UnusualValue
-from vibrojax.studies.family_dataset import columns
-from vibrojax.studies.family_spec import read_span
+from vibrojax.settings.values import UnusualValue, count, quantity
+from vibrojax.studies.family_data import columns, read_span
 
 SAME_VALUE = 1e-7
 """Difference of the parameter, relative to its range, up to which special points of one kind on one branch are one."""
@@ -151,8 +150,6 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
     several = family_coordinates(family, "special")
     if "rock" in several:
         raise place.at("family").error("holds families of several rocks; follow those of one rock")
-    if by in (*ROTATION, "rpm") and by != "v":
-        raise place.at("by").error(f"{by} is not continued; give v")
     check_changes_orbits(place.at("by"), names.system, by)
     low, high = read_span(place, names, by, span)
     kinds = continued_kinds(family)
@@ -175,7 +172,7 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
         value = float(values[by][outside][0])
         raise place.at("from").error(f"the family is at {by} = {value:g}, which is not between {low:g} and {high:g}")
     first, last = (float(x) for x in family.attrs["span"])
-    line = _line(place, names, at, {along: (first, last), by: (low, high)})
+    line = read_line(place.at("at"), names.parameters, at, {along: (first, last), by: (low, high)})
     return CurvesSpec(
         family, names.system, dict(names.options), along, (first, last), by, (low, high), chosen, line, values
     )
@@ -199,49 +196,44 @@ def _names(place: Place, family: xr.Dataset) -> Names:
 
 def _special(place: Place, special: object, family: xr.Dataset, kinds: list[str]) -> list[int]:
     """Return the indices of the special points to continue."""
-    held = np.flatnonzero(np.isin(numbers_of(family, "special"), family_numbers(family))).tolist()
+    number = numbers_of(family, "special")
+    held = np.flatnonzero(np.isin(number, family_numbers(family))).tolist()
     if special is None:
-        continued = _distinct(family, [k for k in held if kinds[k] in CONTINUED])
-        if not continued:
+        values, (first, last) = family["special_value"].values, family.attrs["span"]
+        own_branch = list(zip(family["special_kind"].values, number, family["special_branch"].values, strict=True))
+        distinct: list[int] = []  # without those that a branch has passed before
+        for k in (k for k in held if kinds[k] in CONTINUED):
+            own = (values[i] for i in distinct if own_branch[i] == own_branch[k])
+            if all(abs(value - values[k]) > SAME_VALUE * (last - first) for value in own):
+                distinct.append(k)
+        if not distinct:
             raise place.error("the family has no special point that can be continued; follow it further")
-        return continued
-    given: list[Any] = list(special) if isinstance(special, list | tuple | np.ndarray) else [special]
-    if not given:
-        raise place.at("special").error("is empty; give numbers of special points, or leave it out")
-    for k in given:
-        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < len(kinds):
-            raise place.at("special").error(f"{shown(k)} is not a number from 0 to {len(kinds) - 1}")
+        return distinct
+    here, given = place.at("special"), special if isinstance(special, list | tuple | np.ndarray) else [special]
+    if not len(given):
+        raise here.error("is empty; give numbers of special points, or leave it out")
+    numbers = [count(here, k, 0, len(kinds) - 1) for k in given]
+    for k in numbers:
         if k not in held:
-            raise place.at("special").error(f"{k} is of a family that the dataset does not hold")
+            raise here.error(f"{k} is of a family that the dataset does not hold")
         if kinds[k] not in CONTINUED:
-            raise place.at("special").error(f"{k} is of the kind {kinds[k]}; continued are {', '.join(CONTINUED)}")
-    return [int(k) for k in given]
+            raise here.error(f"{k} is of the kind {kinds[k]}; continued are {', '.join(CONTINUED)}")
+    return numbers
 
 
-def _distinct(family: xr.Dataset, special: list[int]) -> list[int]:
-    """Return the special points without those that a branch has passed before."""
-    kinds, values = family["special_kind"].values, family["special_value"].values
-    number, branch = numbers_of(family, "special"), family["special_branch"].values
-    first, last = family.attrs["span"]
-    kept: list[int] = []
-    for k in special:
-        own = [i for i in kept if (kinds[i], number[i], branch[i]) == (kinds[k], number[k], branch[k])]
-        if all(abs(values[i] - values[k]) > SAME_VALUE * (last - first) for i in own):
-            kept.append(k)
-    return kept
-
-
-def _line(place: Place, names: Names, at: object, spans: Mapping[str, tuple[float, float]]) -> tuple[str, float] | None:
+def read_line(
+    place: Place, parameters: Mapping[str, Parameter], at: object, spans: Mapping[str, tuple[float, float]]
+) -> tuple[str, float] | None:
     """Return the parameter and the value at which crossings are located, or None."""
     if at is None:
         return None
     if not isinstance(at, Mapping) or len(at) != 1 or next(iter(at)) not in spans:
         wrong = " and ".join(map(str, at)) if isinstance(at, Mapping) else at
-        raise place.at("at").error(f"{shown(wrong)} is not {' or '.join(spans)} with a value; give one of them")
+        raise place.error(f"{shown(wrong)} is not {' or '.join(spans)} with a value; give one of them")
     [(name, given)] = at.items()
-    value, (low, high) = names.quantity(place.at("at").at(name), name, given), spans[name]
+    value, (low, high) = quantity(place.at(name), given, parameters[name]), spans[name]
     if not low <= value <= high:
-        raise place.at("at").at(name).error(f"{value:g} is not between {low:g} and {high:g}, the bounds of the curves")
+        raise place.at(name).error(f"{value:g} is not between {low:g} and {high:g}, the bounds of the curves")
     return name, value
 
 
@@ -345,7 +337,9 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve])
     }
     located = {"codim2": ("at the point", [mark.orbit for _, mark in marks])}
     if spec.at is not None:
-        passed = [(k, point) for k, curve in enumerate(curves) for point in _crossings(problem, curve, spec.at)]
+        which, parts = names.index(spec.at[0]), [(k, part) for k, curve in enumerate(curves) for part in curve.parts]
+        with np.errstate(all="ignore"):
+            passed = [(k, point) for k, part in parts for point in crossings(problem, part, which, spec.at[1])]
         variables["crossing_curve"] = ("crossing", [k for k, _ in passed])
         located["crossing"] = ("where the curve crosses the line", [point for _, point in passed])
     for name in names:
@@ -405,11 +399,6 @@ def _points(problem: CurveProblem, curves: list[Curve]) -> tuple[dict[str, np.nd
             parts.append(part)
             number.append(np.full(len(part.u), index))
     return columns(problem, parts), np.concatenate(number)
-
-
-def _crossings(problem: CurveProblem, curve: Curve, line: tuple[str, float]) -> list[Points]:
-    with np.errstate(all="ignore"):
-        return [x for part in curve.parts for x in crossings(problem, part, problem.along.index(line[0]), line[1])]
 
 
 def _parameter(problem: CurveProblem, name: str) -> dict[str, str]:

@@ -21,7 +21,7 @@ from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Sheet, colours_of, dots
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.progress import Progress
-from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
+from vibrojax.studies.analysis import PictureRule, SummaryPart, analyse
 from vibrojax.studies.design_requirements import (
     Assessment,
     DesignSpec,
@@ -160,7 +160,6 @@ class Designs(FileAnalysis[DesignSpec]):
         return read_design(file)
 
     def identity(self, spec: DesignSpec) -> dict[str, object]:
-        """Return all settings on which the result depends, as flat JSON values."""
         own: dict[str, object] = {f"tolerance.{name}": width for name, width in spec.tolerances.items()}
         own |= {f"subject.{c.variable}.{c.end}": c.limit for c in spec.constraints}
         own |= {"robust": True} if spec.robust else {}
@@ -301,9 +300,8 @@ class Designs(FileAnalysis[DesignSpec]):
         }
         if "front" in ds.dims:
             known = int((ds["front_feasible"] == 1).sum())
-            lines.append(
-                f"  front against {ds.attrs.get('against', '')}: {known} of {ds.sizes['front']} points feasible"
-            )
+            points = f"{known} of {ds.sizes['front']} points feasible"
+            lines.append(f"  front against {ds.attrs.get('against', '')}: {points}")
         return [SummaryPart("design", lines, {"design": facts})]
 
 
@@ -371,5 +369,4 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
     >>> bool(best.feasible == 1), round(float(best.gamma), 2)
     (True, 0.6)
     """
-    designs = Designs()
-    return checked_result(designs, designs.run(source, progress))
+    return analyse(source, Designs(), progress)

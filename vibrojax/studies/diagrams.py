@@ -12,7 +12,7 @@ from vibrojax.pictures.chart import chart
 from vibrojax.pictures.contents import FORM, POINT, RATE, RELIEF, START, lane_dims, rates_in, without_single
 from vibrojax.pictures.lines import Across, Series, axis_of_lines, line_keys, longest_axis, row_per_facet
 from vibrojax.pictures.plots import FAINT, Area, Axis, Key, Layer, Line, Look, Picture, Plot, Sheet, Text, dots, key
-from vibrojax.studies.frequencies import frequencies
+from vibrojax.studies.sweep import frequencies
 
 _MODES = {"lower_frequency": "-", "upper_frequency": "-", "bit_frequency": ":", "striker_frequency": ":"}
 _MODE_NAMES = {"-": "natural frequencies\nof both masses", ":": "bit alone,\nstriker alone"}

@@ -26,8 +26,7 @@ from vibrojax.periodic.segments import Mark
 from vibrojax.periodic.timed_families import TimedContinuation, at_section, free_problem, returning_orbit, through
 from vibrojax.periodic.timed_problem import TimedProblem, has_free_phase
 from vibrojax.scenes import Scene
-from vibrojax.studies.family_dataset import families_dataset
-from vibrojax.studies.family_spec import SAME_HOPF, FamilySpec, family_spec
+from vibrojax.studies.family_data import SAME_HOPF, FamilySpec, families_dataset, family_spec
 
 SAME_CENTRE = 1e-3
 """Difference of the states, relative to their scales, up to which two Hopf points at one value are the same."""
@@ -126,42 +125,46 @@ def follow(
 
 def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     """Return the families of a specification, as `follow` does; raise `InputError` if there is no initial orbit."""
-    section = section_problem(spec)
+    sweep, scene = spec.sweep, spec.sweep.system.driving_part()
+    values, _ = sweep.lane_values(0, sweep.lanes)
+    bounds = (spec.high - spec.low) / UNITS_PER_SPAN, spec.low, spec.high
+    unit, low, high = (np.full((sweep.lanes, 1), x) for x in bounds)
+    section = Problem(  # the equations of orbits by their states at the section, with scales of 1
+        scene=scene,
+        along=(spec.along,),
+        parameters={name: values[name].astype(float) for name in scene.parameters()},
+        scales=np.ones((sweep.lanes, len(scene.return_states))),
+        unit=unit,
+        first=low,
+        last=high,
+        most_steps=float(MOST_STEPS),
+    )
     if spec.cycles == 0:
         return _equilibria(spec, section, None)
     if spec.hopf:
         return _from_hopf(spec, section)
-    if spec.orbit is not None and has_free_phase(section.scene):
-        return _free(spec, section, *_given_orbit(spec, section, spec.orbit[1]))
-    if not section.scene.return_states:
+    if spec.orbit is not None and has_free_phase(scene):
+        return families_dataset(sweep, section, *_free_marks(spec, section, *_given_orbit(spec, section)))
+    if not scene.return_states:
         place = Place("follow").at("cycles")
         raise place.error("a motion of one state has no orbits; for its equilibria give cycles=0")
-    dataset = None if spec.orbit is not None else run_sweep(spec.sweep, progress=progress)
-    if dataset is not None and section.scene.autonomous and (dataset["regime"] == REGIMES.index("equilibrium")).all():
-        return _equilibria(spec, section, spec.sweep.run.settle)
-    if has_free_phase(section.scene):
-        return _free(spec, section, *free_problem(section, _first_orbits(spec, section, dataset)))
-    problem, families, first = problem_of(spec, dataset)
-    segments = FamilyContinuation(problem, cycles=spec.cycles)(families, first)
-    return families_dataset(spec.sweep, problem, *in_order(segments))
-
-
-def section_problem(spec: FamilySpec) -> Problem:
-    """Return the equations of orbits by their states at the section, with scales of 1."""
-    sweep, system = spec.sweep, spec.sweep.system.driving_part()
-    values, _ = sweep.lane_values(0, sweep.lanes)
-    bounds = (spec.high - spec.low) / UNITS_PER_SPAN, spec.low, spec.high
-    unit, first, last = (np.full((sweep.lanes, 1), x) for x in bounds)
-    return Problem(
-        scene=system,
-        along=(spec.along,),
-        parameters={name: values[name].astype(float) for name in system.parameters()},
-        scales=np.ones((sweep.lanes, len(system.return_states))),
-        unit=unit,
-        first=first,
-        last=last,
-        most_steps=float(MOST_STEPS),
-    )
+    if spec.orbit is not None:
+        known = [_traced_orbit(spec, section, *spec.orbit)]
+    else:
+        dataset = run_sweep(sweep, progress=progress)
+        if scene.autonomous and (dataset["regime"] == REGIMES.index("equilibrium")).all():
+            return _equilibria(spec, section, sweep.run.settle)
+        known = _first_orbits(spec, section, dataset)
+    if has_free_phase(scene):
+        return families_dataset(sweep, section, *_free_marks(spec, section, *free_problem(section, known)))
+    problem, unknowns = _with_scales(section, known), dict[int, np.ndarray]()
+    for orbits in known:
+        own = problem.unknowns(orbits.lane, orbits.states, orbits.parameters[spec.along][:, None])
+        unknowns |= dict(zip(orbits.lane.tolist(), own, strict=True))
+    families = sorted(unknowns)
+    continuation = FamilyContinuation(problem, cycles=spec.cycles)
+    segments = continuation(np.array(families), [unknowns[family] for family in families])
+    return families_dataset(sweep, problem, *in_order(segments))
 
 
 def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.Dataset:
@@ -200,12 +203,6 @@ def _states_at_start(spec: FamilySpec, section: Problem, parameters: Mapping[str
         states = scene.start(scene.constants(parameters), starts[0], (1,))
     whole = dict(zip(scene.state_names, states, strict=True))
     return np.array([np.broadcast_to(whole[name], 1) for name in section.moving], float)
-
-
-def _free(
-    spec: FamilySpec, section: Problem, timed: TimedProblem, families: np.ndarray, first: list[np.ndarray]
-) -> xr.Dataset:
-    return families_dataset(spec.sweep, section, *_free_marks(spec, section, timed, families, first))
 
 
 def _free_marks(
@@ -256,31 +253,11 @@ def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
     return families_dataset(spec.sweep, section, points, special)
 
 
-def problem_of(spec: FamilySpec, dataset: xr.Dataset | None) -> tuple[Problem, np.ndarray, list[np.ndarray]]:
-    """Return the equations, the indices of families with an initial orbit, and the unknowns of these orbits.
-
-    **Arguments:** `dataset`: result of the specified sweep; None if an orbit is given.
+def _first_orbits(spec: FamilySpec, section: Problem, dataset: xr.Dataset) -> list[Orbits]:
+    """Return the orbits on which the motions settle, whose `lane` is the number of the family.
 
     **Raises:** `InputError` if no family has an initial orbit.
     """
-    section = section_problem(spec)
-    known = _first_orbits(spec, section, dataset)
-    problem, unknowns = _with_scales(section, known), dict[int, np.ndarray]()
-    for orbits in known:
-        own = problem.unknowns(orbits.lane, orbits.states, orbits.parameters[spec.along][:, None])
-        unknowns |= dict(zip(orbits.lane.tolist(), own, strict=True))
-    families = sorted(unknowns)
-    return problem, np.array(families), [unknowns[family] for family in families]
-
-
-def _first_orbits(spec: FamilySpec, section: Problem, dataset: xr.Dataset | None) -> list[Orbits]:
-    """Return the first orbits of families, whose `lane` is the number of the family.
-
-    **Raises:** `InputError` if no family has an initial orbit.
-    """
-    if spec.orbit is not None:
-        return [_traced_orbit(spec, section, *spec.orbit)]
-    assert dataset is not None
     dataset = dataset.isel(start=0) if "start" in dataset.dims else dataset
     lane = dataset.isel(point=0)
     known = orbits_of(section.scene, dataset, section.parameters)
@@ -300,14 +277,13 @@ def _with_scales(section: Problem, known: list[Orbits]) -> Problem:
 
 
 @np.errstate(all="ignore")
-def _given_orbit(
-    spec: FamilySpec, section: Problem, period: float
-) -> tuple[TimedProblem, np.ndarray, list[np.ndarray]]:
+def _given_orbit(spec: FamilySpec, section: Problem) -> tuple[TimedProblem, np.ndarray, list[np.ndarray]]:
     """Return the equations without a section, the number of the family, and the unknowns of the orbit near a given one.
 
     **Raises:** `InputError` if Newton's method finds none.
     """
-    place, [along], family = Place("follow").at("orbit"), section.along, np.zeros(1, int)
+    assert spec.orbit is not None
+    place, [along], family, (_, period) = Place("follow").at("orbit"), section.along, np.zeros(1, int), spec.orbit
     value = section.parameters[along][:1]
     begin = _states_at_start(spec, section, section.parameters).T
     while True:

@@ -38,7 +38,7 @@ from vibrojax.settings.fields import given, setting
 from vibrojax.studies import FAMILY_WORDS
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.family import continue_families
-from vibrojax.studies.family_spec import FamilySpec, family_spec
+from vibrojax.studies.family_data import FamilySpec, family_spec
 from vibrojax.studies.subjects import MachineAnalysis
 
 _VALUES_SHOWN, _FAMILIES_SHOWN = 4, 12
@@ -50,20 +50,12 @@ _PANEL_HEIGHT = 2.1  # inches
 
 
 def family_lines(ds: xr.Dataset) -> list[str]:
-    """Return the summary as lines of text.
-
-    The lines contain the numbers of points and branches, the special points by kind, and the stable intervals of
-    branch 0.
-    """
+    """Return the numbers of points and branches, special points by kind, and stable intervals of branch 0, as text."""
     facts = family_facts(ds)
     along, (low, high) = facts["along"], facts["span"]
     count = f"{counted(facts['families'], 'family', 'families')}, " if FAMILY in ds.dims else ""
-    branch_count, special = (
-        counted(facts["branches"], "branch", "branches"),
-        counted(len(facts["special"]), "special point"),
-    )
-    points = counted(facts["points"], "point")
-    lines = [f"{count}{points} on {branch_count} over {along} {low:g} to {high:g}, {special}"]
+    count += f"{counted(facts['points'], 'point')} on {counted(facts['branches'], 'branch', 'branches')}"
+    lines = [f"{count} over {along} {low:g} to {high:g}, {counted(len(facts['special']), 'special point')}"]
     order = str(ds["special_kind"].attrs["flag_meanings"]).split()
     for kind in sorted(facts["kinds"], key=order.index):
         own = [point for point in facts["special"] if point["kind"] == kind and point["branch"] == 0]
@@ -79,17 +71,19 @@ def family_lines(ds: xr.Dataset) -> list[str]:
         if others:
             places.append(f"{others} on other branches")
         lines.append(f"{kind:<16}  {'; '.join(places)}")
-    begun = list(dict.fromkeys(numbers_of(ds, "point").tolist()))
-    stable = {family: [x for x in facts["stable"] if (x["family"], x["branch"]) == (family, 0)] for family in begun}
-    texts = {family: "; ".join(map(_interval, intervals)) for family, intervals in stable.items()}
+    stable: dict[int, list[str]] = {family: [] for family in numbers_of(ds, "point").tolist()}
+    for x in (x for x in facts["stable"] if x["branch"] == 0):
+        ends = ((_digits(x[name]), x[f"{name}_kind"]) for name in ("from", "to"))
+        stable[x["family"]].append(" to ".join(f"{value} ({kind})" if kind else value for value, kind in ends))
+    begun = [*stable]
     if len(begun) == 1:
-        where = texts[begun[0]]
+        where = "; ".join(stable[begun[0]])
         lines.append(f"branch 0 is stable for {along} {where}" if where else "branch 0 is stable nowhere")
     elif begun:
         lines.append("stable on branch 0:")
-        lines += [f"  {_name(ds, family)}: {texts[family] or 'nowhere'}" for family in begun[:_FAMILIES_SHOWN]]
-        if len(begun) > _FAMILIES_SHOWN:
-            lines.append(f"  and {len(begun) - _FAMILIES_SHOWN} more")
+        shown = begun[:_FAMILIES_SHOWN]
+        lines += [f"  {_name(ds, family)}: {'; '.join(stable[family]) or 'nowhere'}" for family in shown]
+        lines += [f"  and {len(begun) - _FAMILIES_SHOWN} more"] * (len(begun) > _FAMILIES_SHOWN)
     else:
         lines.append("no point")
     known = ds[FAMILY].values.tolist() if FAMILY in ds.dims else []
@@ -124,12 +118,6 @@ def family_facts(ds: xr.Dataset) -> dict[str, Any]:
             for ends in stable_intervals(ds, x)
         ],
     }
-
-
-def _interval(interval: dict[str, Any]) -> str:
-    """Return a stable interval as text, with the kinds of special points at its ends."""
-    ends = ((interval[name], interval[f"{name}_kind"]) for name in ("from", "to"))
-    return " to ".join(f"{_digits(value)}{f' ({kind})' if kind else ''}" for value, kind in ends)
 
 
 def _digits(value: float) -> str:
@@ -225,9 +213,8 @@ def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
             layers.append(Points(mirrored.real, mirrored.imag, colours, 2.2 if many else 3.5, order=3.0))
     name, unit = str(parameter.name), " [1/s]" * standing
     value = Value(name, label(parameter, 60), scale(parameter)[0], norm, "neither", colour_map())
-    across, up = (
-        Axis(f"{part} part{unit}", limits=(-x, x)) for part, x in zip(("real", "imaginary"), sides, strict=True)
-    )
+    parts = zip(("real", "imaginary"), sides, strict=True)
+    across, up = (Axis(f"{part} part{unit}", limits=(-x, x)) for part, x in parts)
     title = f"{'eigenvalues' if standing else 'multipliers'} of branch {first}"
     plot = Plot(layers, across, up, title, grid="", square=not standing, scale=None if many else value)
     largest = values[:, 0] if len(points) else np.zeros(0)

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from vibrojax.errors import InputError, Place, shown, suggestion
+from vibrojax.errors import InputError, Place, shown
 from vibrojax.io.attributes import flags, parameters_of, run_of
 from vibrojax.io.variables import VARIABLES, Variable, orbit_name
 from vibrojax.lanes.inputs import Index
@@ -33,7 +33,7 @@ from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.fields import setting
 from vibrojax.settings.names import known_options
-from vibrojax.settings.values import as_table, quantity
+from vibrojax.settings.values import as_table, known_keys, quantity
 from vibrojax.studies.analysis import PictureRule, SummaryPart
 from vibrojax.studies.subjects import MachineAnalysis, answered
 
@@ -238,15 +238,12 @@ class Pushes(MachineAnalysis[Machines]):
         if system.driving_part().section is None or missing or machines.sweep.starts is None:
             why = f"{', '.join(missing)} of it cannot be given as a start" if missing else "it has no drill"
             raise place.at("scene").error(f"{shown(machines.sweep.scene)} has no working cycle to push: {why}")
+        known_keys(place.at("most"), dict(self.most), system.start_states)
         for name, value in self.most.items():
-            if name not in system.start_states:
-                hint = suggestion(name, system.start_states)
-                raise place.at("most").error(f"{shown(name)} is no state of a start; {hint}")
             quantity(place.at("most").at(name), value, positive(name, 1.0, "1", "greatest push", name))
         return machines
 
     def compute(self, spec: Machines, progress: bool = True) -> xr.Dataset:
-        """Return the smallest pushes; raise `InputError` if there is no stable cycle to push."""
         sweep = spec.sweep
         cycle = run_sweep(sweep, progress=progress)
         cycle = cycle.isel(start=0, drop=True) if "start" in cycle.dims else cycle

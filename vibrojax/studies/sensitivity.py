@@ -11,7 +11,7 @@ from matplotlib import colormaps
 from matplotlib.colors import ListedColormap, Normalize
 
 from vibrojax.errors import Place, counted, shown, suggestion
-from vibrojax.io.attributes import flags
+from vibrojax.io.attributes import flag_counts
 from vibrojax.io.variables import VARIABLES, Variable
 from vibrojax.lanes.inputs import Features
 from vibrojax.lanes.labels import measured_besides
@@ -320,9 +320,8 @@ class Sensitivity(SweepAnalysis):
         return at_orbits(sweep, lanes, self.by, progress)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        reason, meanings = ds["reason"].values.ravel(), flags(ds["reason"])
-        counts = {meanings[flag]: int((reason == flag).sum()) for flag in np.unique(reason).tolist()}
+        counts, size = flag_counts(ds, "reason"), ds["reason"].size
         valid = counts.pop("none", 0)
         others = ", ".join(f"{count} {name}" for name, count in counts.items())
-        lines = [f"derivatives hold in {valid} of {counted(reason.size, 'lane')}" + (f" ({others})" if others else "")]
+        lines = [f"derivatives hold in {valid} of {counted(size, 'lane')}" + (f" ({others})" if others else "")]
         return [SummaryPart(KIND, lines, {KIND: {"valid": valid, **counts}})]

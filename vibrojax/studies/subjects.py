@@ -45,10 +45,6 @@ class CheckedAnalysis(Analysis, Generic[Spec]):
         """Return the result; an analysis with chunks of lanes keeps finished ones beside `out` until it is written."""
         return self.compute(spec, progress)
 
-    def run(self, source: Any, progress: bool = True) -> xr.Dataset:
-        """Return the dataset of the analysis of what was checked."""
-        return self.compute(source, progress)
-
 
 class MachineAnalysis(CheckedAnalysis[Spec]):
     """An analysis of machines, whose settings, start and run settings are given together with the parameters.
@@ -107,7 +103,6 @@ class MachineAnalysis(CheckedAnalysis[Spec]):
         return machines
 
     def identity(self, spec: Spec) -> dict[str, object]:
-        """Return all settings on which the result depends, as flat JSON values."""
         assert isinstance(spec, Machines)  # else the analysis has its own
         identity = spec.sweep.identity()
         for name, value in self.described().items():

@@ -1,6 +1,8 @@
-"""The analysis `sweep`: pictures and summary of datasets over a parameter space."""
+"""The analysis `sweep`: pictures and summary of datasets over a parameter space, and the frequencies of their lanes."""
 
+import tomllib
 from collections.abc import Sequence
+from math import pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,7 +11,11 @@ import xarray as xr
 from vibrojax.errors import counted
 from vibrojax.io.attributes import flag_counts, flags, parameters_of, run_of, table_of
 from vibrojax.io.kinds import kind_of
+from vibrojax.measures.labels import blow_frequency
+from vibrojax.physics.modes import natural_frequencies, uncoupled_frequencies
+from vibrojax.physics.parameters import REPLACED, resolved
 from vibrojax.physics.rock import ROCKS
+from vibrojax.pictures.axes import pretty_unit
 from vibrojax.pictures.contents import Contents
 from vibrojax.pictures.lines import rates, regime_lines
 from vibrojax.pictures.maps import rate_grid, regime_bars, regime_grid
@@ -17,8 +23,8 @@ from vibrojax.pictures.overlays import ON_MAPS, refuse_overlays
 from vibrojax.pictures.plots import Picture
 from vibrojax.pictures.returns import bifurcation, hysteresis
 from vibrojax.pictures.starts import many_starts
+from vibrojax.settings.run_settings import RunSettings
 from vibrojax.studies.analysis import Analysis, PictureRule, Source, SummaryPart
-from vibrojax.studies.frequencies import frequency_part
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,9 +70,6 @@ class Sweeps(Analysis):
 
 _FAILURES_SHOWN = 3
 
-DEFAULT_ACCEPTED_ERROR = 1e-4
-"""Relative error tolerance if the dataset states none: the default of sweep files."""
-
 
 def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
     """Return the summary parts of datasets with lanes, by name; a part without content is empty."""
@@ -82,13 +85,16 @@ def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
     orbits: dict[str, Any] = {}
     if "orbit_reason" in ds and not no_lanes:
         orbits = {"reason": flag_counts(ds, "orbit_reason"), "stable": flag_counts(ds, "stable")}
-    natures = {} if no_lanes else flag_counts(ds, "nature")
+    natures, nature_lines = {} if no_lanes else flag_counts(ds, "nature"), list[str]()
+    if natures and "regime" in ds:
+        irregular = flag_counts(ds[["nature"]].where(_labelled(ds, "irregular")), "nature")
+        nature_lines = [f"{x:<14}{count:>9}{irregular.get(x, 0):>9} of them irregular" for x, count in natures.items()]
     reasons = flag_counts(ds, "reason") if "status" in ds else {}  # the reasons of a fit are not failures
     reasons.pop("none", None)
     parts = [
         SummaryPart("regimes", regime_lines, {"regimes": regimes}),
         SummaryPart("orbits", orbit_lines(ds), {"orbits": orbits}),
-        SummaryPart("natures", _nature_lines(ds), {"natures": natures}),
+        SummaryPart("natures", nature_lines, {"natures": natures}),
         SummaryPart("failures", _failure_lines(ds, "regime" in ds and not no_lanes), {"failures": reasons}),
         _accuracy(ds),
     ]
@@ -96,30 +102,19 @@ def lane_parts(ds: xr.Dataset) -> dict[str, SummaryPart]:
 
 
 def orbit_lines(ds: xr.Dataset) -> list[str]:
-    """Return lines that state how many orbits were found and are stable, and why the others were not found.
-
-    Return an empty list if the dataset has no orbits.
-    """
+    """Return how many orbits were found and are stable, and why the others were not found; nothing without orbits."""
     if "orbit_reason" not in ds:
         return []
-    reason, stable = ds["orbit_reason"].values, ds["stable"].values
-    counts = {meaning: int((reason == flag).sum()) for flag, meaning in flags(ds["orbit_reason"]).items()}
+    counts, stable = flag_counts(ds, "orbit_reason"), ds["stable"].values
     repeating = sum(count for meaning, count in counts.items() if meaning not in ("not-repeating", "refused"))
-    stabilities = f"{(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"
-    lines = [
-        f"{counts['found']} found of {counted(repeating, 'lane that repeats', 'lanes that repeat')}: {stabilities}"
-    ]
-    lines += [f"{count} {meaning}" for meaning, count in counts.items() if count and meaning != "found"]
+    of = f"{counts.pop('found', 0)} found of {counted(repeating, 'lane that repeats', 'lanes that repeat')}"
+    lines = [f"{of}: {(stable == 1).sum()} stable, {(stable == 0).sum()} unstable"]
+    lines += [f"{count} {meaning}" for meaning, count in counts.items()]
     cycles, own = ds["orbit_cycles"], ds.get("cycles")
-    sooner = int(((cycles > 0) & (cycles < own)).sum()) if own is not None else 0
-    if sooner:
-        lines.append(
-            counted(
-                sooner,
-                "lane is on its way to an orbit that repeats sooner than it does",
-                "lanes are on their way to an orbit that repeats sooner than they do",
-            )
-        )
+    if own is not None and (sooner := int(((cycles > 0) & (cycles < own)).sum())):
+        one = "lane is on its way to an orbit that repeats sooner than it does"
+        many = "lanes are on their way to an orbit that repeats sooner than they do"
+        lines.append(counted(sooner, one, many))
     limit = table_of(ds, "orbits").get("grazing_limit")
     if limit is not None:
         lines.append(f"multipliers are given from a grazing_margin of {limit:g} on")
@@ -137,18 +132,6 @@ def orbit_lines(ds: xr.Dataset) -> list[str]:
 def _labelled(ds: xr.Dataset, *regimes: str) -> xr.DataArray:
     """Return which lanes have one of the `regimes`."""
     return ds["regime"].isin([flag for flag, name in flags(ds["regime"]).items() if name in regimes])
-
-
-def _nature_lines(ds: xr.Dataset) -> list[str]:
-    if "nature" not in ds or "regime" not in ds:
-        return []
-    irregular = _labelled(ds, "irregular").values
-    masks = ((name, ds["nature"].values == flag) for flag, name in flags(ds["nature"]).items())
-    return [
-        f"{name:<14}{int(mask.sum()):>9}{int((mask & irregular).sum()):>9} of them irregular"
-        for name, mask in masks
-        if mask.any()
-    ]
 
 
 def _rates(ds: xr.Dataset) -> SummaryPart:
@@ -249,7 +232,7 @@ def _accuracy(ds: xr.Dataset) -> SummaryPart:
             facts["within"] = int((errors <= accepted).sum())
         if errors.size:
             facts |= {"median": float(np.median(errors)), "largest": float(errors.max())}
-            lines = _accuracy_lines(ds, errors, DEFAULT_ACCEPTED_ERROR if accepted is None else accepted)
+            lines = _accuracy_lines(ds, errors, RunSettings.error if accepted is None else accepted)
     if "regime" in ds and "check_regime" in ds:
         flips = int((ds["regime"].values != ds["check_regime"].values).sum())
         lines.append(f"{flips} of {ds['regime'].size} regimes differ at the check run's coarser resolution")
@@ -273,11 +256,88 @@ def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list
         singular = "of them is farther than that from where it settles; a longer settle brings it there"
         plural = "of them are farther than that from where they settle; a longer settle brings them there"
         lines.append(counted(still, singular, plural))
-    return [
-        *lines,
-        counted(
-            int(sensitive.sum()),
-            "lane is sensitive: rounding decides which attractor it reaches",
-            "lanes are sensitive: rounding decides which attractor they reach",
-        ),
-    ]
+    one = "lane is sensitive: rounding decides which attractor it reaches"
+    many = "lanes are sensitive: rounding decides which attractor they reach"
+    return [*lines, counted(int(sensitive.sum()), one, many)]
+
+
+_WORDS = {
+    "bit_frequency": ("natural frequency of the bit alone", "Hz"),
+    "striker_frequency": ("of the striker alone", "Hz"),
+    "lower_frequency": ("lower mode", "Hz"),
+    "upper_frequency": ("upper mode", "Hz"),
+    "blow_frequency": ("blows", "min-1"),
+    "rpm": ("rotation", "min-1"),
+}
+"""For each quantity, its wording in a summary and its unit."""
+
+_DRILL = ("m1", "k1", "beta", "gamma")
+_USED = (*_DRILL, *REPLACED, "v")
+
+
+def frequencies(ds: xr.Dataset) -> dict[str, xr.DataArray]:
+    """Return a dict with the frequencies [Hz], blows per minute and rotation speed [1/min] of a sweep or a trajectory.
+
+    - `bit_frequency`, `striker_frequency`: natural frequencies of bit and striker alone, each on its own spring.
+    - `lower_frequency`, `upper_frequency`: natural frequencies of the coupled bit and striker, without impact and
+      friction (Batako's thesis, eq. 5.16).
+    - `blow_frequency`: impacts per minute, for lanes that have a period.
+    - `rpm`: rotation speed that corresponds to the drive speed, for sweeps with a bit radius.
+
+    The dict leaves out quantities that the dataset does not determine.
+
+    **Example:**
+
+    >>> motion = vj.simulate("vibro-impact", delta=0.005, start="stuck", progress=False)
+    >>> outputs = vj.frequencies(motion)
+    >>> f"{float(outputs['striker_frequency']):.3f} Hz, {float(outputs['blow_frequency']):.1f} blows per minute"
+    '2.984 Hz, 261.3 blows per minute'
+    """
+    known = {**_of_sweep(ds), **parameters_of(ds), **{str(name): x for name, x in ds.coords.items()}}
+    arrays = {name: xr.DataArray(x) for name, x in known.items() if name in _USED}
+    given = {name: x.astype(float) for name, x in arrays.items() if x.dtype.kind in "fiu"}
+    with np.errstate(all="ignore"):  # a dataset from elsewhere may hold any numbers
+        computed = _computed(ds, given)
+    about = {name: {"units": unit, "long_name": words} for name, (words, unit) in _WORDS.items()}
+    return {name: x.rename(name).assign_attrs(about[name]) for name, x in computed.items()}
+
+
+def _computed(ds: xr.Dataset, given: dict[str, xr.DataArray]) -> dict[str, xr.DataArray]:
+    values, found = resolved(given), {}
+    if values.keys() >= set(_DRILL):
+        found["bit_frequency"], found["striker_frequency"] = uncoupled_frequencies(values)
+        columns = xr.broadcast(*(values[name] for name in _DRILL))
+        modes = natural_frequencies({name: x.values for name, x in zip(_DRILL, columns, strict=True)}, np)
+        for k, name in enumerate(("lower_frequency", "upper_frequency")):
+            found[name] = columns[0].copy(data=modes[..., k] / (2 * pi))
+    if all(name in ds and ds[name].dtype.kind in "fiu" for name in ("impacts", "period", "cycles")):
+        found["blow_frequency"] = blow_frequency(*(ds[name] for name in ("impacts", "cycles", "period")))
+    if "bit_radius" in given and ("rpm" in given or "v" in values):
+        found["rpm"] = given["rpm"] if "rpm" in given else 60 * values["v"] / (2 * pi * given["bit_radius"])
+    return found
+
+
+def _of_sweep(ds: xr.Dataset) -> dict[str, Any]:
+    """Return the rotation that a sweep file specifies, which is not among the parameters of the scene."""
+    try:
+        table = tomllib.loads(str(ds.attrs.get("sweep", ""))).get("parameters", {})
+    except tomllib.TOMLDecodeError:
+        return {}
+    return {name: x for name, x in table.items() if name in ("rpm", "bit_radius") and isinstance(x, (int, float))}
+
+
+def frequency_part(ds: xr.Dataset) -> SummaryPart:
+    """Return the range of each of the `frequencies` over the lanes; quantities without a finite value are left out."""
+    facts, texts = {}, []
+    for name, x in frequencies(ds).items():
+        finite = x.values[np.isfinite(x.values)]
+        if not finite.size:
+            continue
+        words, unit = _WORDS[name]
+        least, most = float(finite.min()), float(finite.max())
+        facts[name] = {"least": least, "greatest": most, "units": unit}
+        ends = dict.fromkeys((f"{least:.4g}", f"{most:.4g}"))
+        texts.append(f"{words} {' to '.join(ends)} {pretty_unit(unit)}")
+    masses, others = texts[:4], texts[4:]
+    lines = [", ".join(part) for part in (masses, others) if part]
+    return SummaryPart("frequency", lines, {"frequencies": facts})

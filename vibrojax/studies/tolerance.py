@@ -1,7 +1,7 @@
-"""The analysis `tolerance`: a machine at samples of the box of its parameter tolerances."""
+"""The analysis `tolerance`: a machine at samples of its tolerance box, and the search for extremes in it."""
 
 import json
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -32,9 +32,9 @@ from vibrojax.pictures.style import IMPACT
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import read_names
 from vibrojax.settings.toml import plain_table
+from vibrojax.settings.values import read_pair
 from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
 from vibrojax.studies.subjects import MachineAnalysis
-from vibrojax.studies.tolerance_search import QUANTITIES, Units, refine
 
 PLACES = ("nominal", "corner", "edge", "interior", "refined")
 """Meanings of the flags of `place`: the position of a sample in the box; refined: found from the extreme samples."""
@@ -43,6 +43,32 @@ REFINED = PLACES.index("refined")
 
 INTERIOR_SAMPLES = 64
 """Number of Sobol points inside the box: a power of two, for which the points are balanced."""
+
+QUANTITIES = (
+    "impact_velocity",
+    "impact_energy",
+    "impact_power",
+    "period",
+    "peak_impact_force",
+    "rate_of_penetration",
+    "specific_energy",
+)
+"""Variables whose least and greatest value of the samples is stored."""
+
+FIRST_STEP, LEAST_STEP = 0.25, 0.01
+"""First and smallest step of the search, in half-widths: at the least step a smooth extreme is exact to 1e-4 of the
+change over the box."""
+
+SHRINKAGE = 0.4
+"""Factor of the step after a round that found nothing more extreme."""
+
+MAX_ROUNDS = 12
+"""Limit of the rounds, each of which is one batch of lanes."""
+
+SAME_POINT = 1e-9
+"""Distance in half-widths within which two points count as one."""
+
+Units = Float[np.ndarray, "samples dimensions"]
 
 _WORDS = {"least": "least", "most": "greatest"}
 
@@ -232,12 +258,12 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         if len(given) > MAX_TOLERANCES:
             raise place.error(f"{len(given)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
         names = read_names(place.at("scene"), scene, fixed, place)
-        pairs: dict[str, Any] = plain_table(place, given, lambda: names.units)
-        for name, pair in pairs.items():
-            numbers = all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in pair)
-            if len(pair) != 2 or not numbers or not (np.isfinite(pair[1]) and pair[1] > 0):
-                raise place.at(name).error(f"{shown(pair)} is not a nominal value and a half-width above zero")
-        nominal, half_widths = ({name: float(pair[k]) for name, pair in pairs.items()} for k in (0, 1))
+        table, noun = plain_table(place, given, lambda: names.units), "a nominal value and a half-width above zero"
+        pairs = {name: read_pair(place.at(name), pair, noun) for name, pair in table.items()}
+        for name, (_, width) in pairs.items():
+            if not 0 < width < np.inf:
+                raise place.at(name).error(f"{shown(table[name])} is not {noun}")
+        nominal, half_widths = ({name: pair[k] for name, pair in pairs.items()} for k in (0, 1))
         for end in (-1.0, 1.0):  # errors name the parameter, not a row of the points
             read_point(place, scene, fixed | {name: x + end * half_widths[name] for name, x in nominal.items()})
         tables: dict[str, Any] = {"scene": scene, "title": "Behaviour over the tolerances", "parameters": fixed}
@@ -258,15 +284,14 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         return f"{spec.sweep.scene}-tolerance.nc"
 
     def compute(self, spec: ToleranceBox, progress: bool = True) -> xr.Dataset:
-        """Run all samples from all starts, and return the dataset of [vibrojax.studies.tolerance.tolerance][]."""
         units, places = sample_box(len(spec.nominal))
         drawn = len(units)
         sampled = run_sweep(spec.sweep, progress=progress)
-        ds, units, tried = refine(
-            units,
-            sampled,
-            lambda units: run_sweep(replace(spec.sweep, points=spec.points(units)), progress=False),
-        )
+
+        def simulate(units: Units) -> xr.Dataset:
+            return run_sweep(replace(spec.sweep, points=spec.points(units)), progress=False)
+
+        ds, units, tried = refine(units, sampled, simulate)
         if ds is not sampled:
             sweep = spec.sweep_over(units)
             counts = certified(sweep, {str(name): x.values for name, x in ds.data_vars.items()})
@@ -284,12 +309,10 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         }
         for name in (name for name in QUANTITIES if name in ds):
             x = ds[name].transpose("sample", ...).values
-            unknown = np.isnan(x).all(axis=0)
-            for word, worst, choose in (("least", np.inf, np.argmin), ("most", -np.inf, np.argmax)):
-                index = choose(np.where(np.isnan(x), worst, x), axis=0)
-                extreme = np.where(unknown, np.nan, np.take_along_axis(x, index[None], axis=0)[0])
-                table[f"{name}_{word}"] = rest, extreme
-                table[f"{name}_{word}_sample"] = rest, np.where(unknown, -1, index)
+            for word, sign, reduce in (("least", -1, np.fmin.reduce), ("most", 1, np.fmax.reduce)):
+                index = np.where(np.isnan(x), -np.inf, sign * x).argmax(axis=0)
+                table[f"{name}_{word}"] = rest, reduce(x, axis=0)
+                table[f"{name}_{word}_sample"] = rest, np.where(np.isnan(x).all(axis=0), -1, index)
         names = [str(name) for name in ds]
         ds = ds.assign(described(table, tolerance_variables(names))).assign_coords(label=list(REGIMES))
         for name, word in product(QUANTITIES, _WORDS):
@@ -312,7 +335,6 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
             return None
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the nominal behaviour, the regimes and the extremes, for each start."""
         lanes = ds if "start" in ds.dims else ds.expand_dims("start")
         starts = [str(start) for start in lanes["start"].values] if "start" in lanes.coords else [""]
         shares = lanes["irregular_share"].values if "irregular_share" in lanes else np.zeros(1)
@@ -367,3 +389,62 @@ def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object],
         lines.append(text)
         facts[name] = {**ends, **{f"{word}_at": place(sample) for word, sample in where.items()}, "samples": known}
     return facts, lines
+
+
+def refine(
+    units: Units, ds: xr.Dataset, simulate: Callable[[Units], xr.Dataset]
+) -> tuple[xr.Dataset, Float[np.ndarray, "kept dimensions"], int]:
+    """Return the samples and, after them, the points that are more extreme; their places; and how many were tried.
+
+    For each start and quantity, a search begins at the least and at the greatest sample. Its points are a step along
+    each parameter, and one in all parameters, in the directions that the sensitivities near the best point predict.
+    Each point is simulated, so that an extreme is never only predicted. Irregular motions are left out, because their
+    extremes depend on the time of observation.
+    """
+    first, parts = len(units), [ds]
+    best, steps = np.array(-1), np.array(FIRST_STEP)
+    for _ in range(MAX_ROUNDS):
+        goals = np.concatenate([_goals(part) for part in parts], axis=1)
+        known = ~np.isnan(goals).all(axis=1)
+        greatest = np.where(known, np.where(np.isnan(goals), -np.inf, goals).argmax(axis=1), -1)
+        steps = np.where(known & (greatest == best), SHRINKAGE * steps, steps)
+        best = greatest
+        active = np.flatnonzero(known & (steps >= LEAST_STEP))
+        proposals = [_proposals(units, goals[k], int(best[k]), float(steps[k])) for k in active]
+        points = np.unique(np.round(np.concatenate([units[:0], *proposals]), 12), axis=0)
+        apart = np.abs(points[:, None] - units[None]).max(axis=2).min(axis=1, initial=np.inf)
+        points = points[apart > SAME_POINT]
+        if len(points):
+            parts.append(simulate(points))
+            units = np.concatenate([units, points])
+        elif not len(active):
+            break
+    added, tried = np.unique(best[best >= first]), len(units) - first
+    if not len(added):
+        return ds, units[:first], tried
+    kept = [*range(first), *added.tolist()]
+    whole = xr.concat(parts, "point", data_vars="minimal", join="override", combine_attrs="override")
+    numbered = {"point": np.arange(len(kept))} if "point" in whole.coords else {}  # each part has its own numbers
+    return whole.isel(point=kept).assign_coords(numbered), units[kept], tried
+
+
+def _goals(ds: xr.Dataset) -> Float[np.ndarray, "searches samples"]:
+    """Return what each search maximises: each quantity from each start, and its negative; NaN unless periodic."""
+    periodic = [ds[name].where(ds["cycles"] > 0).transpose("point", ...) for name in QUANTITIES if name in ds]
+    columns = np.concatenate([x.values.reshape(ds.sizes["point"], -1) for x in periodic], axis=1)
+    return np.concatenate([columns, -columns], axis=1).T
+
+
+def _proposals(
+    units: Units, y: Float[np.ndarray, " samples"], best: int, step: float
+) -> Float[np.ndarray, "points dimensions"]:
+    """Return points of the box around the sample `best` at which `y` may be greater.
+
+    The sensitivities are those of a linear fit to the nearest samples.
+    """
+    here, count = units[best], units.shape[1]
+    known = np.flatnonzero(np.isfinite(y))
+    near = known[np.argsort(np.abs(units[known] - here).max(axis=1), kind="stable")][: 2 * count + 2]
+    slope = np.linalg.lstsq(units[near] - here, y[near] - y[best])[0]
+    moves = np.concatenate([np.eye(count), -np.eye(count), np.sign(slope)[None]])
+    return np.asarray(np.clip(here + step * moves, -1.0, 1.0))

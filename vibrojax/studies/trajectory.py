@@ -37,11 +37,12 @@ from vibrojax.scenes import HasFriction, HasRock, Scene
 from vibrojax.settings.code_identity import code_identity
 from vibrojax.settings.fields import setting
 from vibrojax.settings.run_settings import check_error
+from vibrojax.settings.values import choice
 from vibrojax.stepping import STEPPERS, AccuracyRequest, Smoothed, Stepper, stepper_named
 from vibrojax.stepping.located import LEAST_TOLERANCE
 from vibrojax.studies.analysis import PictureRule, SummaryPart
-from vibrojax.studies.frequencies import frequency_part
 from vibrojax.studies.subjects import MachineAnalysis, answered
+from vibrojax.studies.sweep import frequency_part
 from vibrojax.studies.trajectory_recording import adaptive, constants_at, default_sampling, recorded
 
 if TYPE_CHECKING:
@@ -166,7 +167,6 @@ class Trajectories(MachineAnalysis[Point]):
         return f"{point.scene}.nc"
 
     def compute(self, point: Point, progress: bool = True) -> xr.Dataset:
-        """Return the trajectory; raise `InputError` if settings contradict one another or take too many steps."""
         place, system = Place("simulate"), point.system
         stepper, request = self._resolution(place, system)
         duration = sum(system.usual_times) * (5 / 12) if self.duration is None else self.duration
@@ -223,16 +223,14 @@ class Trajectories(MachineAnalysis[Point]):
     def _resolution(self, place: Place, system: Scene[Any]) -> tuple[Stepper | None, AccuracyRequest]:
         """Return the stepper, None for diffrax, and the requested accuracy; raise `InputError` if they do not fit."""
         method = self.method or ("diffrax" if self.solver is not None else "located")
-        if not isinstance(method, Stepper) and method not in (*STEPPERS, "diffrax"):
-            choices = ", ".join((*STEPPERS, "diffrax"))
-            raise place.at("method").error(f'"{method}" is unknown; choose from {choices}')
+        if not isinstance(method, Stepper):
+            choice(place.at("method"), method, (*STEPPERS, "diffrax"))
         if self.solver is not None and method != "diffrax":
             raise place.at("solver").error(f'has no use with method "{method}"; leave one of them out')
         stepper = None if method == "diffrax" else stepper_named(method)
         if self.smoothing is not None and stepper is not None and not stepper.smooths:
-            raise place.at("smoothing").error(
-                f'has no use with method "{stepper.name}"; leave it out, or set method = "smoothed"'
-            )
+            unused = f'has no use with method "{stepper.name}"'
+            raise place.at("smoothing").error(f'{unused}; leave it out, or set method = "smoothed"')
         request = AccuracyRequest(1e-4 if self.error is None else self.error, self.step, self.smoothing)
         if stepper is not None or self.smoothing is None:
             least_error = (stepper or Smoothed()).least_error(request)
@@ -315,9 +313,7 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
         if returns > 1:
             observed, last = run_of(ds)["observe"], float(ds["time"][-1])
             advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.3g}"
-        count = (
-            f"{returns} returns to the section are" if returns > 1 else ("one return is", "no return is")[not returns]
-        )
+        count = ("no return is", "one return is")[returns] if returns < 2 else f"{returns} returns to the section are"
         cycles = int(values["cycles"])
         repeats = f"so far it repeats in each period of {cycles * period:.5g} s; " if cycles else ""
         return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {repeats}{advice}"
@@ -362,24 +358,17 @@ def _penetration_lines(ds: xr.Dataset, values: dict[str, float]) -> list[str]:
     lines = [f"relief P/D {relief:.4g}: {force}"] if math.isfinite(relief) else []
     if not math.isfinite(rate):
         return [f"no whole {event} was observed, so there is no rate of penetration; give a longer duration", *lines]
-    if rate == 0:
-        return [f"no penetration: {_rock_below_threshold(ds, threshold)}", *lines]
-    growth = f", {1e3 * slip:.4g} mm for each {event} (slip)" if math.isfinite(slip) else ""
-    return [f"rate of penetration {rate:.4g} m/s ({3600 * rate:.4g} m/h){growth}", *lines]
-
-
-def _rock_below_threshold(ds: xr.Dataset, threshold: float) -> str:
-    """Describe how far the force of the rock stays below the threshold D while it is observed, and what would raise it.
-
-    The inertia of the bit takes a part of the contact force, which can therefore exceed D.
-    """
-    run = run_of(ds)
+    if rate != 0:
+        growth = f", {1e3 * slip:.4g} mm for each {event} (slip)" if math.isfinite(slip) else ""
+        return [f"rate of penetration {rate:.4g} m/s ({3600 * rate:.4g} m/h){growth}", *lines]
+    why, run = "the rock does not yield", run_of(ds)
     is_observed = (ds["time"] >= run["settle"]) & (ds["time"] <= run["settle"] + run["observe"])
-    force = float(ds["rock_force"].where(is_observed).max()) if "rock_force" in ds else math.nan
-    if not math.isfinite(force):
-        return "the rock does not yield"
-    change = "a greater v" if "impact_velocity" in ds else "a greater force"
-    return (
-        f"the rock force reaches {force / 1e3:.4g} kN, {force / threshold:.3g} of the threshold D = "
-        f"{threshold / 1e3:.4g} kN at which the rock yields; a softer rock or {change} raises it"
-    )
+    # Not the contact force, which may exceed D: the inertia of the bit takes a part of it.
+    peak = float(ds["rock_force"].where(is_observed).max()) if "rock_force" in ds else math.nan
+    if math.isfinite(peak):
+        change = "a greater v" if "impact_velocity" in ds else "a greater force"
+        why = (
+            f"the rock force reaches {peak / 1e3:.4g} kN, {peak / threshold:.3g} of the threshold D = "
+            f"{threshold / 1e3:.4g} kN at which the rock yields; a softer rock or {change} raises it"
+        )
+    return [f"no penetration: {why}", *lines]
