@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 import xarray as xr
+from drawn import sheet_of
 from scipy import stats
 from trials import rig_logs, unchecked
 
@@ -163,6 +164,12 @@ def test_undetermined_coefficients_are_nan_with_a_reason(rate, relief, expected)
         if reason != "identified":
             numbers = [fit[key].values[index] for key in ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "aic")]
             assert np.isnan(numbers).all() and fit.degrees_of_freedom.values[index] == 0
+
+
+def test_three_lanes_are_too_few_to_compare_forms():
+    fit = fitted(np.array([1e-3, 2e-3, 2.5e-3]), np.array([0.5, 0.6, 0.7]))
+    assert verdict(fit)[0].endswith("too-few-lanes 1 (4 lanes with a rate are needed)")
+    assert not any("nan" in str(key.label) for column in sheet_of(fit).keys for key in column)
 
 
 # groups, lanes left out

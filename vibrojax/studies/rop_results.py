@@ -41,10 +41,11 @@ from vibrojax.pictures.plots import (
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, FORMULAS, LOGARITHMIC, SAME_AS_ONSET, Standing
-from vibrojax.studies.rop_group import COEFFICIENTS, Founder
+from vibrojax.studies.rop_group import COEFFICIENTS, LEAST_DEGREES_OF_FREEDOM, Founder
 
 _ONSET_STANDARD_ERRORS = 2.0  # by which an onset is below 1 before the verdict says so
 _GROUPS_LISTED = 12
+LEAST_COMPARED = max(form.size for form in FORMS) + LEAST_DEGREES_OF_FREEDOM
 _PER_HOUR, _PER_STEP = 3600.0, 10e3  # the fall of the rate in m/h per 10 kN
 _PER_HOUR_OF_LOGS = {"m s-1": (_PER_HOUR, "m/h")}  # as drillers write rates
 _KEPT = ("undecided", "contains-chosen", "chosen")
@@ -186,7 +187,8 @@ def verdict(fit: xr.Dataset) -> list[str]:
     if missed := [group for title, group in groups.items() if title not in judged]:
         reasons = pd.Series([[*group["reason"][group["aic"].isna()], "too-few-lanes"][0] for group in missed])
         counts = ", ".join(f"{reason} {count}" for reason, count in reasons.value_counts().sort_index().items())
-        lines.append(f"not every form can be told in {len(missed)} of {len(groups)}: {counts}")
+        needed = f" ({LEAST_COMPARED} lanes with a rate are needed)" * ("too-few-lanes" in reasons.to_numpy())
+        lines.append(f"not every form can be told in {len(missed)} of {len(groups)}: {counts}{needed}")
     if not judged:
         return [*lines, "no form can be told from the lanes that are there"] + [LIMITS_OF_LOGS] * is_log(fit)
     how = "by the rates of each block of rows, predicted from the other blocks (CV)" if by_blocks else "by AIC"
@@ -295,7 +297,8 @@ def law_lines(fit: xr.Dataset) -> Sheet:
             of = fit.sel({FORM: name}).squeeze()
             against = float(f"{float(of['evidence_against']):.3g}")
             is_chosen = int(of["standing"]) == Standing.CHOSEN
-            formula += "\nchosen" if is_chosen else f"\nevidence against {number(against)}"
+            if np.isfinite(against):
+                formula += "\nchosen" if is_chosen else f"\nevidence against {number(against)}"
         keys[0].append(key(f"{name}: {formula}", dash=_DASHES.get(name, "-"), colour=form_colour(name)))
     size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * -(-len(groups) // wide) + STACK_MARGINS
     above, x = Sheet(plots, size, keys=keys, **margins(fit, *notes)), longest_axis(fit)
