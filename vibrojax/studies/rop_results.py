@@ -185,7 +185,8 @@ def verdict(fit: xr.Dataset) -> list[str]:
     unknown, by_blocks = "reference_force" in fit.attrs, bool(fit["cv_error"].notnull().any())
     lines = []
     if missed := [group for title, group in groups.items() if title not in judged]:
-        reasons = pd.Series([[*group["reason"][group["aic"].isna()], "too-few-lanes"][0] for group in missed])
+        unfitted = (group["reason"][group["aic"].isna()] for group in missed)
+        reasons = pd.Series([[*each[each != "unknown-threshold"], "too-few-lanes"][0] for each in unfitted])
         counts = ", ".join(f"{reason} {count}" for reason, count in reasons.value_counts().sort_index().items())
         needed = f" ({LEAST_COMPARED} lanes with a rate are needed)" * ("too-few-lanes" in reasons.to_numpy())
         lines.append(f"not every form can be told in {len(missed)} of {len(groups)}: {counts}{needed}")
