@@ -104,10 +104,6 @@ def _given(reading: Mapping[str, Sequence[str] | None]) -> dict[str, str]:
     return {name: "; ".join(words) for name, words in reading.items() if words}
 
 
-DIGEST_LENGTH = 12
-"""Number of hexadecimal digits of the SHA-256 by which a fit recognises its data."""
-
-
 def _default(file: Path, kind: str, key: str) -> str:
     """Return the name of a result, which states the ending of the data where another file's result has the name.
 
@@ -130,7 +126,7 @@ def _digest(file: Path) -> str:
     identity = stored_identity(file) if file.suffix == ".nc" else None
     content = file.read_bytes() if file.is_file() else b""
     text = digest(identity) if identity is not None else hashlib.sha256(content).hexdigest()
-    return f"{file.name}, sha256 {text[:DIGEST_LENGTH]}"
+    return f"{file.name}, sha256 {text[:12]}"
 
 
 @command(

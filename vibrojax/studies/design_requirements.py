@@ -48,8 +48,6 @@ COMPLEX_STEP = 1e-20
 
 HALF_WIDTH = Parameter("half-width", 1.0, "1", "half-width of a tolerance", "w", lowest=0.0, open_below=True)
 
-_LISTED = 4  # starts that a message lists
-
 _COUNTS = {"impacts", "striker_turns"}
 """Variables that are stored as floats but are whole numbers, whose limits are not tightened."""
 
@@ -432,20 +430,16 @@ def infeasibility(spec: DesignSpec, points: Sequence[Assessment], checked: Seque
         if "regime" in nearest.lanes:
             others = f" ({', '.join(REGIMES[k] for k in np.unique(nearest.lanes['regime'][~fit]))})"
 
-    def at(offsets: Offsets) -> str:
-        return ", ".join(f"{name} = {x[0]:.4g}" for name, x in spec.columns(nearest.unit[None], offsets).items())
-
-    where = at(0.0 * nearest.offsets[:1])
-    if without:
-        tolerances = "within the tolerances, although it can be without them"
-        where = f"{at(nearest.offsets[sample : sample + 1])} in the tolerance box of {where}"
-    else:
-        tolerances = "at any nominal point, even without the tolerances" * bool(spec.tolerances)
+    offsets = np.array([nearest.offsets[sample], 0.0 * nearest.offsets[0]])
+    columns = spec.columns(np.array([nearest.unit] * 2), offsets).items()
+    where, centre = (", ".join(f"{name} = {x[k]:.4g}" for name, x in columns) for k in range(2))
+    where += f" in the tolerance box of {centre}" * without
+    how = "at any nominal point, even without the tolerances" * bool(spec.tolerances)
+    how = "within the tolerances, although it can be without them" if without else how
     starts = [str(start) for start in spec.template.starts or ()]
     ever = np.any([a.good.any(axis=0) for a in nominal], axis=0)
     if spec.share is None and ever.any() and not ever.all() and len(starts) == ever.size:
         never = [shown(start) for start, good in zip(starts, ever, strict=True) if not good]
-        more = f" and {len(never) - _LISTED} more" * (len(never) > _LISTED)
-        others += f"; no nominal point is good from start {', '.join(never[:_LISTED])}{more}"
-    problem = f"{required} cannot be met {tolerances}".rstrip()
+        others += f"; no nominal point is good from start {', '.join(never[:4])}{', ...' * (len(never) > 4)}"
+    problem = f"{required} cannot be met {how}".rstrip()
     return spec.place.at("subject").at(name).error(f"{problem}; nearest: {reached} at {where}{others}")

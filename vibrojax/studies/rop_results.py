@@ -275,7 +275,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         f"Data and curves of {len(groups)} of {count} groups" * (len(groups) < count),
         f"Fitted along {along}; bars and bands of one standard error of C",
         "η = P/D, " + ("the mean force over the threshold" if np.isnan(force) else f"where D is {force / 1e3:.4g} kN"),
-        f"Evidence above {limit:g} rejects a form",
+        f"Evidence above {limit:g} rejects a form" * bool(fit["evidence_against"].notnull().any()),
         f"Evidence above {_MOST_EVIDENCE:g} is drawn at {_MOST_EVIDENCE:g}" * (longest_axis(fit).name != "" and strong),
         LIMITS_OF_LOGS * is_log(fit),
     ]
