@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from drawn import sheet_of
 from refusals import refusal
 from systems import IMPACT_OSCILLATOR, oscillator_orbits
 
@@ -49,6 +50,8 @@ def test_true_parameters_are_recovered_without_noise(motion):
     assert fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-7)
     assert not fit.reason.any() and fit.freedom == 3 * len(SPEEDS) - 2
     assert fit.attrs["kind"] == "calibration"
+    ends = [line.split("95 %: ")[1].split(" to ") for line in analysis_of(fit).summary(fit)[0].lines[:2]]
+    assert all(low != high for low, high in ends)
 
 
 def test_period_determines_only_ratio_of_stiffness_and_mass(motion):
@@ -69,9 +72,10 @@ def test_period_determines_only_ratio_of_stiffness_and_mass(motion):
 def test_estimate_at_a_bound_is_flagged(motion):
     fit = _calibrated(_runs(motion), unknown={"mu": [0.5, 0.6]})
     assert REASONS[int(fit.reason[0])] == "at-bound" and float(fit.estimate[0]) == pytest.approx(0.5, abs=2e-3)
-    assert float(fit.estimate_low[0]) >= 0.5 and float(fit.estimate_high[0]) > float(fit.estimate[0])
+    assert np.isnan([fit.estimate_stderr, fit.estimate_low, fit.estimate_high]).all()
     lines = analysis_of(fit).summary(fit)[0].lines
-    assert "at its bound" in lines[0] and "the data suggest values beyond a bound" in "\n".join(lines)
+    assert lines[0] == "μ = 0.5, at its lower bound: no interval follows (at-bound)"
+    assert "the data suggest values beyond a bound" in "\n".join(lines)
 
 
 def test_two_estimates_at_bounds_are_flagged(use_model):
@@ -97,6 +101,12 @@ def test_rotation_speed_and_radius_are_conditions(motion):
         assert fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-7)
     with pytest.raises(vj.InputError, match=r"rpm: bit_radius \[m\] is missing; only both together give v"):
         _calibrated(rpm | data)
+    in_metres = rpm | {"bit_radius": np.full(len(SPEEDS), 120.0)} | data
+    with pytest.warns(vj.UnusualValue) as warned:
+        read_calibration({**FIXED, "data": in_metres, "unknown": {"k1": [100.0, 300.0]}})
+    lines = [str(each.message).partition(", are far outside")[0] for each in warned]
+    assert "calibration: unknown.k1: 2 of 2 values, such as 100 N/m" in lines
+    assert lines[-1].endswith("column bit_radius: 6 of 6 values, such as 120 m")
 
 
 def test_observations_are_converted_from_the_unit_that_they_state(motion):
@@ -181,12 +191,15 @@ def test_command_writes_dataset_and_picture(motion, tmp_path, capsys):
     lines += ["[parameters]", "delta = 0.005", "[unknown]", "mu = [0.25, 0.6]", "v_cr = [1.5, 6.0]"]
     (tmp_path / "drill.toml").write_text("\n".join(lines) + "\n")
     out = tmp_path / "fit.nc"
-    assert main(["calibrate", str(tmp_path / "drill.toml"), "-o", str(out), "--quiet", "--json"]) == 0
-    assert '"combinations"' in capsys.readouterr().out
+    assert main(["calibrate", str(tmp_path / "drill.toml"), "-o", str(out), "--json"]) == 0
+    printed = capsys.readouterr()
+    assert '"combinations"' in printed.out and "1/1 searches, " in printed.err and "searches/s" not in printed.err
     assert out.exists() and out.with_suffix(".png").exists()
     assert main(["explore", str(out), "-o", str(tmp_path / "page.html")]) == 0 and (tmp_path / "page.html").exists()
     again = vj.open_dataset(out)
-    assert again.estimate.values == pytest.approx(_calibrated(rows).estimate.values, rel=1e-6)
+    rows = sheet_of(again).plots[1].x
+    assert rows.label == "line of the file" and [text for _, text in rows.ticks] == ["2", "3", "4", "5", "6", "7"]
+    assert again.estimate.values == pytest.approx(_calibrated(_runs(motion, 1e-3)).estimate.values, rel=1e-6)
 
 
 # Histories
@@ -289,6 +302,11 @@ REFUSED = [
         "rate_of_penetration: has 1 negative value, first in row 2, where none is possible; correct the cells, or",
     ),
     ({"data": {"v": [1.0, 1.5], "period": [-999.25, 0.2]}}, "column period: has 1 negative value, first in row 0"),
+    ({"start": "stick"}, 'calibration: start: "stick" is unknown; did you mean "stuck"?'),
+    (
+        {"unknown": {"k1": [1e5, 3e5]}, "error": {"period": 1e-3}, "prior": {"k1": [170.0, 10.0]}},
+        "prior.k1: the mean 170 N/m is outside the bounds, 100000 to 300000 N/m; correct its unit, or widen [unknown]",
+    ),
     ({}, "2 values for 2 unknown parameters and the size of the noise; add rows"),
     ({"history": {"data": {"time": [0.0, 1.0]}}}, "v1: missing; columns time [s] and v1 [m/s] are needed"),
     ({"history": {"data": {"time": [0.0, 2.0, 1.0], "v1": [0.0] * 3}}}, "time: does not rise from sample to sample"),

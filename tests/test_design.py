@@ -11,6 +11,7 @@ from vibrojax.cli import main
 from vibrojax.measures.labels import REGIMES
 from vibrojax.settings.toml import bundled_names
 from vibrojax.studies.design import Designs
+from vibrojax.studies.design_requirements import Assessment, infeasibility, read_design
 
 FORCE, WIDTH, WIDE = 165e3, 0.004, 0.03
 RUN = {"settle": 15.0, "observe": 4.0}
@@ -120,6 +121,25 @@ def test_bundled_designs_are_as_good_as_by_other_searches(name, least):
     assert name in bundled_names("design")
     best = vj.design(name, progress=False).isel(candidate=0)
     assert best.feasible == 1 and float(best.objective) >= least
+
+
+def test_refusal_says_whether_tolerances_or_a_start_are_in_the_way():
+    """The force is above its limit at one end of the tolerance, or one start never reaches the regime."""
+    spec = read_design(FREE | {"starts": ["stuck", "drive"], "tolerance": {"gamma": WIDTH}})
+    single, free = (REGIMES.index(name) for name in ("single-impact", "impact-free"))
+
+    def refused(force, regimes):
+        shape = (2, 2)
+        lanes = {"impact_power": np.ones(shape), "peak_impact_force": np.array(force), "regime": np.array(regimes)}
+        point = Assessment(spec, np.array([0.5]), np.array([[0.0], [1.0]]), lanes)
+        return str(infeasibility(spec, [Assessment(spec, point.unit, point.offsets[:1], point.nominal)], [point]))
+
+    line = refused([[1e5, 1e5], [2e5, 1e5]], np.full((2, 2), single))
+    assert "peak_impact_force: most 165000 N cannot be met within the tolerances, although it can be without" in line
+    assert line.endswith("nearest: 200000 N at gamma = 0.754 in the tolerance box of gamma = 0.75")
+    line = refused(np.full((2, 2), 1e5), np.tile([single, free], (2, 1)))
+    assert "single-impact from every start cannot be met at any nominal point, even without the tolerances" in line
+    assert line.endswith('1 of 2 lanes at gamma = 0.75 (impact-free); no nominal point is good from start "drive"')
 
 
 NARROW = {"vary": {"gamma": [0.7, 0.72]}, "tolerance": {}, "front": None}

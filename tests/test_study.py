@@ -108,13 +108,19 @@ def test_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
     assert {"v", "gamma"} <= set(json.loads(capsys.readouterr().out)["study"]["impact_energy"]["parameters"])
 
 
-@pytest.mark.parametrize(("first", "total", "is_beyond"), [(-0.08, 1.06, True), (0.2, 0.96, False)])
-def test_text_says_that_shares_beyond_their_range_end_there(first, total, is_beyond):
-    """Few samples may estimate a share of the variance below 0 or above 1; the picture says the same."""
+@pytest.mark.parametrize(
+    ("first", "total", "is_beyond", "second", "claim"),
+    [(-0.08, 1.06, True, (0.7, 0.67), ""), (0.2, 0.96, False, (0.2, 0.05), "their interaction causes 10 ± 5 % of the")],
+)
+def test_text_says_that_shares_beyond_their_range_end_there(first, total, is_beyond, second, claim):
+    """Few samples may estimate a share of the variance below 0 or above 1; the picture says the same.
+
+    An interaction has at most the smaller of the total shares, 10 %, and is claimed beyond its uncertainty only.
+    """
     table = {"first_order": first, "first_order_conf": 0.1, "total_order": total, "total_order_conf": 0.2, "effect": 1}
     values = {name: (("of", "parameter"), [[x, 0.1]]) for name, x in table.items()}
-    pair = ("of", "parameter", "other"), np.full((1, 2, 2), np.nan)
-    values |= dict.fromkeys(("second_order", "second_order_conf", "interaction"), pair)
+    pairs = zip(("second_order", "second_order_conf", "interaction"), (*second, np.nan), strict=True)
+    values |= {name: (("of", "parameter", "other"), np.full((1, 2, 2), x)) for name, x in pairs}
     values |= {name: ("parameter", [1.0, 2.0]) for name in ("low", "high")}
     values |= dict.fromkeys(("mean", "std", *RULED, "sobol_reason"), ("of", [0]))
     about = {"of_unit": ("of", ["J"]), "parameter_unit": ("parameter", ["1", "1"])}
@@ -126,6 +132,7 @@ def test_text_says_that_shares_beyond_their_range_end_there(first, total, is_bey
     ds = xr.Dataset(values, about, {"kind": "study"})
     lines = "\n".join(Studies().summary(ds)[0].lines)
     shares = "100 ± 20 % of the variation, 0 %" if is_beyond else "96 ± 20 % of the variation, 20 %"
+    assert ("chosen together" in lines) == bool(claim) and claim in lines
     assert f"causes {shares} on its own" in lines and ("shares beyond 0 and 100 %" in lines) == is_beyond
     assert ("Shares beyond 0 and 1" in bars_and_interactions(ds).note) == is_beyond
 

@@ -3,8 +3,10 @@
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
+from drawn import sheet_of
 from scipy import stats
 from trials import rig_logs, unchecked
 
@@ -163,6 +165,13 @@ def test_undetermined_coefficients_are_nan_with_a_reason(rate, relief, expected)
         if reason != "identified":
             numbers = [fit[key].values[index] for key in ("C", "C_stderr", "eta0", "eta0_stderr", "exponent", "aic")]
             assert np.isnan(numbers).all() and fit.degrees_of_freedom.values[index] == 0
+
+
+def test_three_lanes_are_too_few_to_compare_forms():
+    table = pd.DataFrame({"ROP (m/h)": [10.0, 20.0, 25.0], "WOB (kN)": [50.0, 60.0, 70.0]})
+    for fit in (fitted(np.array([1e-3, 2e-3, 2.5e-3]), np.array([0.5, 0.6, 0.7])), fit_rop(table, progress=False)):
+        assert verdict(fit)[0].endswith("too-few-lanes 1 (4 lanes with a rate are needed)")
+        assert not any("nan" in str(key.label) for column in sheet_of(fit).keys for key in column)
 
 
 # groups, lanes left out

@@ -1,6 +1,7 @@
 """Test measures of rig logs: specific energies, known founder points, the stick-slip index, and the command."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from drawn import sheet_of
 
@@ -30,6 +31,9 @@ def test_specific_energy_matches_teale_in_field_units(log):
     path, rows = log
     ds = vj.rig(path, columns={"bit_diameter": "8.5 in", "impact_power": "12 kW"})
     _, weight, rate, speed, torque = rows.T
+    assert not any("together" in note for note in ds.attrs["notes"].split("; "))
+    mixed = vj.rig(pd.read_csv(path).assign(Formation=["a b", "c"] * 60))
+    assert 'all 2 values of Formation together: --where Formation="a b" keeps one' in mixed.attrs["notes"]
     field = 4 * 1e3 * weight / (np.pi * 8.5**2) + 480 * torque * speed / (8.5**2 * rate)
     assert ds.specific_energy.values == pytest.approx(6894.757 * field, rel=1e-4)
     area = np.pi / 4 * (8.5 * 0.0254) ** 2

@@ -53,6 +53,13 @@ def witsml(head, rows, more=""):
     return f'<?xml version="1.0"?>\n<logs {name}><log>{more}<logData>\n{head}\n{data}\n</logData></log></logs>\n'
 
 
+def wrapped(short, separator=" "):
+    """Return a wrapped LAS file, in which some records have lost their last cell."""
+    records = [line.split(" ")[: 3 + (k not in short)] for k, line in enumerate(lines_of(*FOUR, separator=" "))]
+    lines = [f"{record[0]}\n{separator.join(record[1:])}" for record in records]
+    return las(f"~C\n{CURVES.format('KN')}~A\n", lines, wrap="YES")
+
+
 FIELD = (DEPTH / FOOT, RATE / FOOT, WEIGHT / KLBF, SPEED)
 CURVES = " DEPT.M : depth\n ROP .M/HR : rate\n WOB .{} : weight\n RPM .RPM : rotary\n"
 LISTS = "<mnemonicList>DEPTH,ROP,WOB,RPM</mnemonicList><unitList>m,m/h,kN,rpm</unitList>"
@@ -127,6 +134,13 @@ REFUSED = {
     "short.las": (
         las(f"~C\n{CURVES.format('KN')}~A\n", ["1 2 3 4", "1 2 3"]),
         "line 13 has 3 cells; 4 are needed, one a column",
+    ),
+    # In the last two files, the lost cells add up to a whole record.
+    "lost.las": (wrapped([2]), "line 16: the record that begins here has other than 4 cells"),
+    "lost-four.las": (wrapped([2, 3, 4, 5]), "line 16: the record that begins here has other than 4 cells"),
+    "shifted.las": (
+        wrapped([2, 3, 4, 5], "\n"),
+        "line 24: the record that begins here is shifted: its index, 25.+, turns",
     ),
     "cells.csv": ("DEPTH (m),ROP (m/h)\n1,2,3\n2,3\n4\n", "line 2 has 3 cells; line 4 has 1 cell; 2 are needed"),
     "bars.csv": ("WOB (kN)|ROP (m/h)\n100|20\n110|21\n", "no numbers in the first 3 lines; commas, semicolons or tabs"),
@@ -232,6 +246,8 @@ def test_conditions_choose_rows():
         log = read_log(table, where=where)
         np.testing.assert_allclose(log.weight_on_bit, 1e3 * WEIGHT[kept])
         assert sum(log.attrs["dropped"].values()) == (~kept).sum()
+    bare = read_log(table, where="WOB < 80")
+    assert "WOB (kN) < 80: in kN, as the column" in bare.attrs["notes"] and "not WOB (kN) < 80" in bare.attrs["dropped"]
     fast = table.assign(**{"ROP (m/h)": 10 * RATE})
     assert read_log(fast).attrs["dropped"]["rate beyond reason"] > 30
     assert "rate beyond reason" not in read_log(fast, where="ROP < 400").attrs["dropped"]  # it replaces the limit
@@ -244,6 +260,7 @@ def test_conditions_choose_rows():
         ("WOB (kN) < 20 klbf", "the unit is kN and klbf; give one of them"),
         ("WOB (kN) < 80,5", '"80,5" does not suit weight_on_bit'),
         ("Formation < 3", "texts are only compared by = or !="),
+        ("Formation=Shale", 'no row of column Formation is "Shale"; it has chalk, shale$'),
     ):
         with pytest.raises(InputError, match=line):
             read_log(table, where=where)

@@ -81,11 +81,11 @@ def fit(options: Options) -> None:
 
     identity = {"data": _digest(file), "along": options.along, "by": ", ".join(by), **_given(reading), "fit": True}
     identity |= {f"columns.{name}": text for name, text in columns.items()}
-    ds = result(options, f"{file.stem}-fit.nc", identity, fitted, reused=False)
+    ds = result(options, _default(file, "fit", "data"), identity, fitted, reused=False)
     law = ds.dataset
     facts = law_facts(law)
     sources = log_lines(law)
-    lane = "a row of the CSV" if "columns" in law.attrs else WORDS["lane"]
+    lane = f"a row of {file.name}" if "columns" in law.attrs else WORDS["lane"]
     lines = [
         *([*sources, ""] if sources and not options.quiet else []),
         *tables(law),
@@ -104,8 +104,16 @@ def _given(reading: Mapping[str, Sequence[str] | None]) -> dict[str, str]:
     return {name: "; ".join(words) for name, words in reading.items() if words}
 
 
-DIGEST_LENGTH = 12
-"""Number of hexadecimal digits of the SHA-256 by which a fit recognises its data."""
+def _default(file: Path, kind: str, key: str) -> str:
+    """Return the name of a result, which states the ending of the data where another file's result has the name.
+
+    `key`: entry of an identity that names the data.
+    """
+    from vibrojax.io.identity import stored_identity
+
+    name = f"{file.stem}-{kind}.nc"
+    source = str((stored_identity(Path(name)) or {}).get(key, file.name)).partition(", sha256 ")[0]
+    return name if source == file.name else f"{file.stem}-{file.suffix[1:]}-{kind}.nc"
 
 
 def _digest(file: Path) -> str:
@@ -118,7 +126,7 @@ def _digest(file: Path) -> str:
     identity = stored_identity(file) if file.suffix == ".nc" else None
     content = file.read_bytes() if file.is_file() else b""
     text = digest(identity) if identity is not None else hashlib.sha256(content).hexdigest()
-    return f"{file.name}, sha256 {text[:DIGEST_LENGTH]}"
+    return f"{file.name}, sha256 {text[:12]}"
 
 
 @command(
@@ -149,4 +157,4 @@ def rig(options: Options) -> None:
     def measured(_: Path) -> "AbstractContextManager[xarray.Dataset]":
         return nullcontext(measures(file, columns, **reading, units=units))
 
-    result(options, f"{file.stem}-rig.nc", identity, measured).print(options)
+    result(options, _default(file, "rig", "rig"), identity, measured).print(options)

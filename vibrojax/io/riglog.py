@@ -4,7 +4,7 @@ import json
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -151,7 +151,13 @@ def read_log(
         more = f" and {counted(len(unread) - _LISTED, 'other')}" if len(unread) > _LISTED else ""
         notes.append(f"columns without a known name, which --columns can give: {', '.join(unread[:_LISTED])}{more}")
     data = pd.DataFrame(table)
-    met = {f"not {each.text}": _meets(place, each, data, chosen) for each in conditions}
+    judged = [_meets(place, each, data, chosen) for each in conditions]
+    notes += [
+        f"{now.text}: in {now.unit}, as the column"
+        for (now, *_), then in zip(judged, conditions, strict=True)
+        if now != then
+    ]
+    met = {f"not {each.text}": (key, mask) for each, key, mask in judged}
     limits = LIMITS | dict.fromkeys((name for name, _ in met.values()), np.inf)
     for key in ("pressure", "torque"):
         if key in chosen and key in data and (large := data[key] > limits[key]).any():
@@ -297,10 +303,12 @@ def read_conditions(where: Where) -> list[Condition]:
     return conditions
 
 
-def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mapping[str, Column]) -> tuple[str, Mask]:
-    """Return the column of `data` that a condition is on, and where it holds.
+def _meets(
+    place: Place, condition: Condition, data: pd.DataFrame, chosen: Mapping[str, Column]
+) -> tuple[Condition, str, Mask]:
+    """Return a condition with its unit, the column of `data` that it is on, and where it holds.
 
-    **Raises:** `InputError` if there is no such column, or the value does not suit it.
+    **Raises:** `InputError` if there is no such column, the value does not suit it, or no cell has a text.
     """
     here, headers = place.at(f"where {condition.text}"), {name: column.header for name, column in chosen.items()}
     names = {known.normalised(str(name)): str(name) for name in data}
@@ -323,12 +331,21 @@ def _meets(place: Place, condition: Condition, data: pd.DataFrame, chosen: Mappi
             raise here.error(f"{shown(condition.value)} does not suit {key}; write a number with a unit of {right}")
         if scales:
             raise here.error(f"the unit is {' and '.join(units)}; give one of them")
-        return key, condition.holds(data[key], float(number[1]) * scale)
+        own = condition.unit or ("" if number[2] or chosen[key].unit == "1" else chosen[key].unit)
+        return replace(condition, unit=own or None), key, condition.holds(data[key], float(number[1]) * scale)
     if number is not None and not number[2] and data[key].dtype.kind in "fi":
-        return key, condition.holds(data[key], float(number[1]))
+        return condition, key, condition.holds(data[key], float(number[1]))
     if condition.operator not in ("=", "==", "!="):
         raise here.error(f"{shown(condition.value)}: texts are only compared by = or !=")
-    return key, (data[key].astype(str) == condition.value).to_numpy(bool) ^ (condition.operator == "!=")
+    texts = data[key].astype(str)
+    is_equal = (texts == condition.value).to_numpy(bool)
+    if condition.operator != "!=" and not is_equal.any():
+        values = texts.unique().tolist()
+        more = f"; it has {', '.join(values[:_LISTED])}" + f" and {len(values) - _LISTED} more" * (
+            len(values) > _LISTED
+        )
+        raise here.error(f"no row of column {key} is {shown(condition.value)}{more}")
+    return condition, key, is_equal ^ (condition.operator == "!=")
 
 
 def _no_drilling(data: pd.DataFrame, limits: Mapping[str, float]) -> dict[str, Mask]:

@@ -310,12 +310,41 @@ def _read_las(place: Place, text: str) -> tuple[Frame, list[str]]:
     except Exception:  # lasio has no error of its own for a malformed header
         fault = "not LAS: ~Version with VERS and WRAP, a curve on each line of ~Curve, and rows in ~ASCII are needed"
         raise place.error(f"{fault}; export the log again, with its data, or as CSV") from None
-    if is_wrapped:
-        width, every = len(names), [(number, cell) for number, cells in rows for cell in cells if cell]
-        groups = [every[k : k + width] for k in range(0, len(every), width)]
-        rows = [(group[0][0], [cell for _, cell in group]) for group in groups]
     nulls = [str(las.well["NULL"].value)] if "NULL" in las.well else []
+    rows = _unwrapped(place, rows, len(names), nulls) if is_wrapped else rows
     return _table(place, rows, names_line, nulls), names
+
+
+def _unwrapped(
+    place: Place, rows: Sequence[tuple[int, list[str]]], width: int, nulls: Collection[str]
+) -> list[tuple[int, list[str]]]:
+    """Return the records of wrapped lines, each with its first line.
+
+    **Raises:** `InputError` if a lost cell shifts the later ones: the index, which LAS 2.0 puts on a line of its own,
+    then shares one. In files with other lines, only an index that turns back, or the number of cells, tells.
+    """
+    lines = [(number, filled) for number, cells in rows if (filled := [cell for cell in cells if cell])]
+    every = [(number, cell) for number, cells in lines for cell in cells]
+    records = [(every[k][0], [cell for _, cell in every[k : k + width]]) for k in range(0, len(every), width)]
+    sizes = np.array([len(cells) for _, cells in lines], int)
+    alone = set((np.cumsum(sizes) - 1)[sizes == 1].tolist())
+    if 0 in alone and sizes.max() > 1 and len(alone) >= len(every) // width:
+        wrong = [k - 1 for k in range(1, len(records)) if k * width not in alone]
+        fault = f"has other than {width} cells: the index of the next one is not alone on a line"
+    else:
+        known = [k for k, (_, cells) in enumerate(records) if is_number(cells[0]) and cells[0] not in nulls]
+        steps = np.diff([float(records[k][1][0]) for k in known])
+        turned = steps * np.sign(steps[steps != 0][:1].sum()) < 0
+        wrong = [known[k + 1] for k in np.flatnonzero(turned)]
+        fault = f"is shifted: its index, {records[wrong[0]][1][0] if wrong else ''}, turns back; a cell is lost above"
+        if not wrong and len(every) % width:
+            raise place.error(
+                f"{len(every)} cells are not whole records of {width}: a cell is lost, and no index says where"
+            )
+    if wrong:
+        here = place.at(f"line {records[wrong[0]][0]}")
+        raise here.error(f"the record that begins here {fault}; correct it, or export the log without wrapping")
+    return records
 
 
 def line_ranges(lines: Int[np.ndarray, " lines"]) -> str:

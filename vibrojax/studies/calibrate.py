@@ -59,17 +59,17 @@ def calibration_picture(ds: xr.Dataset) -> Sheet:
         observed, model, values = (ds[key].values[:, k] for key in ("observed", "predicted", "residual"))
         look: Look = {"marker": _MARKS[k % len(_MARKS)], "colour": other_colour(k), "label": name.replace("_", " ")}
         look |= {"size": 2.0} if len(values) > _MANY_ROWS else {}
-        layers.append(dots(np.arange(1, len(values) + 1), values, **look))
+        layers.append(dots(ds["observation"].values, values, **look))
         mean = float(np.nanmean(np.abs(observed))) or 1.0
         compared.append(dots(100 * (model / mean - 1), 100 * (observed / mean - 1), **look))
     found = np.concatenate([layer.y for layer in compared[1:] if isinstance(layer, Line)])
     room = 0.08 * float(np.ptp(found[np.isfinite(found)])) or 1.0
     ends = float(np.nanmin(found)) - room, float(np.nanmax(found)) + room
     across, up = (Axis(f"{word} [% from the mean]", limits=ends, intervals=5) for word in ("model", "measured"))
-    count = ds.sizes["observation"]
-    rows = Axis("observation", intervals=4)
-    if count <= _MOST_ROW_TICKS:
-        rows = Axis("observation", ticks=[(float(k), str(k)) for k in range(1, count + 1)])
+    numbers = ds["observation"].values
+    rows = Axis(str(ds["observation"].attrs.get("long_name", "observation")), intervals=4)
+    if len(numbers) <= _MOST_ROW_TICKS:
+        rows = replace(rows, ticks=[(float(k), str(k)) for k in numbers])
     plots = [
         Plot(compared, across, up, "measured and model"),
         Plot(layers, rows, Axis("residual [standard errors]"), "residuals"),
@@ -128,12 +128,17 @@ def _estimates(ds: xr.Dataset) -> list[str]:
     lines, reasons, signs = [], flags(ds["reason"]), symbols_of(ds)
     for k, name in enumerate(signs.get(str(x), str(x)) for x in ds["parameter"].values):
         factor, unit = scale(_value(ds, k))
-        columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high")
-        value, error, low, high = (f"{factor * float(ds[x][k]):.{2 if 'std' in x else 4}g}" for x in columns)
-        bound = reasons[int(ds["reason"][k])] == "at-bound"
-        line = f"{name} = {value}{'' if bound else f' ± {error}'} {pretty_unit(unit)}".rstrip()
-        line += " at its bound" if bound else ""
-        lines.append(f"{line}, 95 %: {low} to {high}")
+        columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high", "low", "high")
+        x, error, low, high, least, greatest = (factor * float(ds[column][k]) for column in columns)
+        unit = pretty_unit(unit)
+        if reasons[int(ds["reason"][k])] == "at-bound":
+            end = "lower" if x - least < greatest - x else "upper"
+            lines.append(f"{name} = {f'{x:.4g} {unit}'.rstrip()}, at its {end} bound: no interval follows")
+            continue
+        # The ends of the interval differ in their last two digits.
+        digits = min(max(4, 2 + int(np.log10(max(abs(x), error) / error))), 12) if error > 0 else 4
+        line = f"{name} = {x:.{digits}g} ± {error:.2g} {unit}".rstrip()
+        lines.append(f"{line}, 95 %: {low:.{digits}g} to {high:.{digits}g}")
     return lines
 
 
@@ -178,7 +183,7 @@ class Calibrations(FileAnalysis[Calibration]):
 
     def compute(self, spec: Calibration, progress: bool = True) -> xr.Dataset:
         problem, searches, name = spec.problem, spec.file.searches, spec.origin.file
-        with precision("float64"), Progress(searches, "searches", progress) as bar:
+        with precision("float64"), Progress(searches, "searches", progress, pace=False) as bar:
             begins = starts(problem)
             if not begins:
                 raise InputError(
@@ -216,11 +221,13 @@ class Calibrations(FileAnalysis[Calibration]):
         system = problem.point.system
         parameters = {**system.parameters(), CONSTANT: LAW}
         units = {name: about.units for name, about in VARIABLES.items()} | {VELOCITY: "m s-1"}
+        of_rows = "line of the file" if problem.labels[0] else "row of the table, from 0"
+        numbered = of_rows if problem.rows else "sample of the history"
         coords: dict[str, Any] = {
             "parameter": [*names],
             "other": [*names],
             "of": [*problem.of],
-            "observation": problem.labels,
+            "observation": ("observation", problem.labels, {"units": "1", "long_name": numbered}),
             "parameter_unit": ("parameter", [parameters[name].unit for name in names]),
             "parameter_long_name": ("parameter", [parameters[name].long_name for name in names]),
             "of_unit": ("of", [units[name] for name in problem.of]),
@@ -286,7 +293,7 @@ class Calibrations(FileAnalysis[Calibration]):
             "parameters": {
                 str(name): {
                     "estimate": float(ds["estimate"][k]),
-                    "stderr": float(ds["estimate_stderr"][k]),
+                    "stderr": float(ds["estimate_stderr"][k]),  # NaN, as the interval, at a bound
                     "interval": [float(ds["estimate_low"][k]), float(ds["estimate_high"][k])],
                     "reason": reasons[k],
                 }

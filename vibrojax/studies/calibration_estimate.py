@@ -41,7 +41,7 @@ _OF, _PARAMETER = ("observation", "of"), ("parameter",)
 
 CALIBRATION_VARIABLES = {
     "estimate": Variable("", "estimate, in the parameter's own unit", dims=_PARAMETER),
-    "estimate_stderr": Variable("", "standard error of the estimate, in the parameter's own unit", dims=_PARAMETER),
+    "estimate_stderr": Variable("", "standard error of the estimate, NaN for one at a bound", dims=_PARAMETER),
     "estimate_low": Variable("", "lower end of the 95 % interval, not below the bound", dims=_PARAMETER),
     "estimate_high": Variable("", "upper end of the 95 % interval, not above the bound", dims=_PARAMETER),
     "low": Variable("", "lower bound, in the parameter's own unit", dims=_PARAMETER),
@@ -122,6 +122,7 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
         checked = posterior[:CHECKED_DRAWS]
         thetas = np.hstack([checked, theta[count:] + (checked - estimate) @ follow.T])
         nonlinearity = _nonlinearity(model, fit, jacobian, thetas)
+    inside = np.where(beyond[:count], np.nan, 1.0)  # at a bound, the normal approximation gives no interval
     covered = 0.5 + INTERVAL / 2
     quantile = scipy.stats.norm.ppf(covered) if given else scipy.stats.t.ppf(covered, freedom)
     error = problem.errors_at(prediction.values) * (1.0 if given else noise)
@@ -130,9 +131,9 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
         predicted[: problem.rows, -1] = predicted[problem.rows :, :-1] = np.nan
     return {
         "estimate": estimate,
-        "estimate_stderr": scale * width,
-        "estimate_low": moved(-quantile * width),
-        "estimate_high": moved(quantile * width),
+        "estimate_stderr": inside * scale * width,
+        "estimate_low": inside * moved(-quantile * width),
+        "estimate_high": inside * moved(quantile * width),
         "low": low,
         "high": high,
         "reason": reason,

@@ -18,16 +18,16 @@ from vibrojax.io.variables import VARIABLES
 from vibrojax.lanes.labels import measured_besides
 from vibrojax.lazy import jax
 from vibrojax.maps.bounds import SceneFile, read_bounds, read_file
-from vibrojax.maps.read import read_point
+from vibrojax.maps.read import read_point, read_start
 from vibrojax.periodic.derivatives import orbit_variables
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.parameters import ROTATION, Parameter, resolved
-from vibrojax.physics.units import factor, likely_units, stated_unit
+from vibrojax.physics.units import UNITS, factor, likely_units, stated_unit
 from vibrojax.scenes import HasRock
 from vibrojax.settings.fields import Settings, given, setting, settings_of
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import Source, plain, read_source
-from vibrojax.settings.values import as_table, choice, read_pair, require_number
+from vibrojax.settings.values import as_table, choice, read_pair, require_number, warn_if_far
 from vibrojax.studies.calibration_history import VELOCITY, History
 from vibrojax.studies.calibration_model import CONSTANT, RATE, RELIEF, Problem
 
@@ -113,7 +113,7 @@ def read_calibration(
     unknown = dict(sorted(unknown.items(), key=lambda item: item[0] == CONSTANT))
     variables = [name for name in orbit_variables(names.system) if name in VARIABLES]
     conditions, observed, errors, labels, home = _read_rows(place, file, folder, names, variables, unknown)
-    varying = [*conditions]
+    varying, table = [*conditions], conditions
     if turning := {name: home.at(f"column {name}") for name in varying if name not in names.parameters}:
         others = {name: place.at("parameters").at(name) for name in (*ROTATION, "v") if name in fixed}
         others |= {name: place.at("unknown").at(name) for name in unknown} | {name: home.at(name) for name in varying}
@@ -128,6 +128,11 @@ def read_calibration(
         raise place.at("unknown").at(CONSTANT).error(why)
     if CONSTANT in bounds and RATE not in observed:
         raise home.error(f"has no column {RATE}, which {CONSTANT} needs; add it")
+    if not file.unusual:
+        ends = [(place.at("unknown").at(name), name, np.array(x)) for name, x in bounds.items() if name != CONSTANT]
+        for here, name, x in [*ends, *((home.at(f"column {name}"), name, x) for name, x in table.items())]:
+            warn_if_far(here, names.writable[name], x, meant="; unusual = true says that it is meant")
+    read_start(place.at("start"), file.start, names)
     point = read_point(place.at("parameters"), file.scene, fixed, file.start, file.unusual)
     history = None
     if file.history is not None:
@@ -146,6 +151,12 @@ def read_calibration(
     for name, pair in file.prior.items():
         here, k = place.at("prior").at(name), [*bounds].index(choice(place.at("prior"), name, tuple(bounds)))
         mean[k], width[k] = read_pair(here, pair, "a mean and a standard deviation; write [0.4, 0.05]")
+        if not bounds[name][0] <= mean[k] <= bounds[name][1]:
+            unit = {**names.writable, CONSTANT: LAW}[name].unit
+            unit = UNITS.get(unit, (unit,))[0]
+            value, end = (f"{x:.6g} {unit}".removesuffix(" 1") for x in (mean[k], bounds[name][1]))
+            fault = f"the mean {value} is outside the bounds, {bounds[name][0]:.6g} to {end}"
+            raise here.error(f"{fault}; correct its unit, or widen [unknown]")
         if not width[k] > 0:
             raise here.error(f"{width[k]:g} is not a standard deviation; it must be above 0")
     if file.prior and not errors:

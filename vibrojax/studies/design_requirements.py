@@ -407,24 +407,39 @@ def extreme(values: np.ndarray, end: str) -> float:
 
 def infeasibility(spec: DesignSpec, points: Sequence[Assessment], checked: Sequence[Assessment]) -> InputError:
     """Return the error for a design without a feasible point: the requirement, and how near the search came."""
-    nearest = min([*checked, *([] if spec.tolerances else points)], key=lambda a: a.badness)
-    fit, others = nearest.fit, ""
+    nominal = [*points, *(Assessment(spec, a.unit, a.offsets[:1], a.nominal) for a in checked)]
+    without = any(a.feasible for a in nominal)  # then, the tolerances alone are in the way
+    nearest = min(checked if without else nominal, key=lambda a: a.badness)
+    fit, others, sample = nearest.fit, "", 0
     if spec.share is not None:
         name, required = "share", f"least {spec.share[0]:g}, most {spec.share[1]:g}"
-        reached = f"{float(nearest.good.mean(axis=1).min()):.3g}"
+        share = nearest.good.mean(axis=1)
+        sample = int(np.maximum(spec.share[0] - share, share - spec.share[1]).argmax())
+        reached = f"{share[sample]:.3g}"
     elif fit.any() and nearest.violated:
         limit = nearest.violated[0]
         name, required = limit.variable, f"{limit.end} {spec.amount(limit.variable, limit.limit)}"
-        reached = spec.amount(limit.variable, extreme(nearest.held(limit.variable), limit.end))
+        slack = np.where(fit, nearest.slack[spec.constraints.index(limit)], np.inf)
+        sample = int(slack.min(axis=1).argmin())
+        reached = spec.amount(limit.variable, float(nearest.values[limit.variable][sample, slack[sample].argmin()]))
     else:
+        sample = int(fit.all(axis=1).argmin())
         name = "regime" if spec.regime else spec.maximise
         required = f"{spec.regime or f'a value of {spec.maximise}'} from every start"
         reached = f"{fit.sum()} of {counted(fit.size, 'lane')}"
         if "regime" in nearest.lanes:
             others = f" ({', '.join(REGIMES[k] for k in np.unique(nearest.lanes['regime'][~fit]))})"
-    columns = spec.columns(nearest.unit[None], 0.0 * nearest.offsets[:1])
-    where = ", ".join(f"{name} = {x[0]:.4g}" for name, x in columns.items())
-    problem = f"{required} cannot be met" + " within the tolerances" * bool(spec.tolerances)
-    if spec.tolerances and any(a.feasible for a in points):
-        problem += ", although it can be without them"
+
+    offsets = np.array([nearest.offsets[sample], 0.0 * nearest.offsets[0]])
+    columns = spec.columns(np.array([nearest.unit] * 2), offsets).items()
+    where, centre = (", ".join(f"{name} = {x[k]:.4g}" for name, x in columns) for k in range(2))
+    where += f" in the tolerance box of {centre}" * without
+    how = "at any nominal point, even without the tolerances" * bool(spec.tolerances)
+    how = "within the tolerances, although it can be without them" if without else how
+    starts = [str(start) for start in spec.template.starts or ()]
+    ever = np.any([a.good.any(axis=0) for a in nominal], axis=0)
+    if spec.share is None and ever.any() and not ever.all() and len(starts) == ever.size:
+        never = [shown(start) for start, good in zip(starts, ever, strict=True) if not good]
+        others += f"; no nominal point is good from start {', '.join(never[:4])}{', ...' * (len(never) > 4)}"
+    problem = f"{required} cannot be met {how}".rstrip()
     return spec.place.at("subject").at(name).error(f"{problem}; nearest: {reached} at {where}{others}")

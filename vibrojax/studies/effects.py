@@ -95,7 +95,7 @@ def _symbols(row: xr.Dataset) -> list[str]:
 def _pair_plot(row: xr.Dataset, k: int, norm: Normalize) -> Plot:
     """Draw the lower triangle of second-order indices; those within their confidence interval of 0 are in brackets."""
     names = _symbols(row)
-    values, errors = (100 * row[key].values for key in ("second_order", "second_order_conf"))
+    values, errors = (100 * x for x in _interactions(row))
     lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
     ends = np.arange(len(names) + 1) - 0.5
     layers: list[Layer] = [Cells(ends, ends, lower, colormaps["Blues"], norm, hatched=False)]
@@ -378,8 +378,8 @@ def _sentences(row: xr.Dataset) -> list[str]:
     total = row["total_order"].values
     order = [int(k) for k in np.argsort(-total) if total[k] >= MIN_SHARE]
     sentences = [_parameter_sentence(row, k) for k in order]
-    second, errors = row["second_order"].values, row["second_order_conf"].values
-    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if second[i, j] >= max(MIN_SHARE, errors[i, j])]
+    second, errors = _interactions(row)
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if second[i, j] > max(MIN_SHARE, errors[i, j])]
     sentences += [_pair_sentence(row, i, j) for i, j in sorted(pairs, key=lambda pair: -second[pair])]
     unknown = row["total_order_conf"].values > WIDE
     for is_unknown in (False, True):
@@ -423,13 +423,21 @@ def _parameter_sentence(row: xr.Dataset, k: int) -> str:
 
 def _pair_sentence(row: xr.Dataset, i: int, j: int) -> str:
     names = [str(name) for name in row["parameter"].values]
-    share, interaction = float(row["second_order"][i, j]), float(row["interaction"][i, j])
-    text = f"{names[i]} and {names[j]} must be chosen together: their interaction causes {_percent(share)}"
+    (share, error), interaction = (float(x[i, j]) for x in _interactions(row)), float(row["interaction"][i, j])
+    causes = f"causes {_percent(share).removesuffix(' %')} ± {_percent(error)} of the variation"
+    text = f"{names[i]} and {names[j]} must be chosen together: their interaction {causes}"
     if not np.isfinite(interaction):
         return text
     factor, unit = _scale(row)
     more = f"{factor * 2 * abs(interaction):.3g} {pretty_unit(unit)}".rstrip()
     return f"{text}; the effect of {names[i]} is {more} {'greater' if interaction > 0 else 'less'} at high {names[j]}"
+
+
+def _interactions(row: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shares of the interactions of pairs, at most the smaller of both total shares, with their errors."""
+    total = row["total_order"].values
+    share = np.minimum(row["second_order"].values, np.minimum(total[:, None], total))
+    return share, row["second_order_conf"].values
 
 
 def _percent(share: float) -> str:

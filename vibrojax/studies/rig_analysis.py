@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from vibrojax.errors import InputError, Place
+from vibrojax.errors import InputError, Place, shell_assignment, shown
 from vibrojax.io.attributes import text_of
 from vibrojax.io.log_columns import KNOWN, LINE, RATE, ROTATION_SPEED, WEIGHT
 from vibrojax.io.riglog import LIMITS_OF_LOGS, Nulls, Source, Where, log_lines, read_log, to_dataset
@@ -28,6 +28,9 @@ WINDOW = 30.0
 
 SLOWEST_SAMPLING = 2.0
 """Longest time [s] between rows for that index. Rarer rows miss the torque's extremes within a period."""
+
+MOST_FORMATIONS = 20
+"""Greatest number of texts in a column that are taken for names of formations or bits."""
 
 FOUNDER_REASONS = ("found", "no-bend", "too-few-rows", "no-weight")
 _NO_FOUNDER = {
@@ -137,6 +140,11 @@ def rig(
         elif name == "torque_stick_slip" and not np.isfinite(values[name]).any():
             fault = f"rows in order of time, at most {SLOWEST_SAMPLING:g} s apart, and a torque above 0 are needed"
             notes.append(f"{name} is not known: {fault}")
+    for name, x in table.items():
+        if x.dtype.kind == "O" and 1 < (count := x.nunique()) <= MOST_FORMATIONS:
+            one = shell_assignment(str(name), str(x.iloc[0]))
+            each = f"--where {one} keeps one, and vibrojax fit --by {shown(str(name))} fits each"
+            notes.append(f"the founder point is of all {count} values of {name} together: {each}")
     measures: dict[str, Any] = {name: ("row", value) for name, value in values.items()}
     measures |= {name: ((), value) for name, value in founder_point(weight, rate).items()}
     own, log = Rigs().dataset(measures, {}, title=table.attrs["title"]), to_dataset(table)

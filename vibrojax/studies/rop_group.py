@@ -42,8 +42,9 @@ _WINDOW = 15  # number of rows of nearly the same weight
 _LEAST_OUTLIER = 1e-3  # standard deviation, relative to the greatest rate, below which no row is an outlier
 _MOST_OUTLIERS = 0.2  # share of rows above which the noise has heavy tails, and no row is an outlier
 
-_BENDS, _ZOOMS = 40, 5  # founder weights that are tried, first between the ends and then near the best one
-_LIKELY = 6.0  # evidence against founder weights up to two standard errors away: 98.5 % of the chi-squared distribution
+_BENDS, _ZOOMS = 40, 3  # founder weights that are tried, first between the ends and then near the best one
+_LIKELY = 5.0  # evidence against founder weights up to two standard errors away: 97.5 % of the chi-squared distribution
+_FEWEST_BESIDE = 3  # rows beside a founder weight within the error of the best one
 _LEAST_BESIDE = 8  # rows below the founder weight, and above it
 _LEAST_SHARE = 0.04  # of rows on either side
 _FOUNDER = 9.0  # evidence against all laws without a founder: exceeded by chance in 1 % of logs
@@ -200,31 +201,35 @@ def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> 
     beside = max(_LEAST_BESIDE, int(np.ceil(_LEAST_SHARE * order.size)))
     if weight.size < LEAST_CLEANED or order.size <= 2 * beside or order[beside] >= order[-beside - 1]:
         return Founder(), None
-    x, y = weight / top, rate / unit
-    low, high = order[beside] / top, order[-beside - 1] / top
-    bends = np.unique(np.quantile(x[seen & (x >= low) & (x <= high)], np.linspace(0, 1, _BENDS)))
+    x, y, scale = weight / top, rate / unit, unit / top
+
+    def between(beside: int) -> Float[np.ndarray, " bends"]:
+        return np.unique(np.quantile(order[beside : order.size - beside] / top, np.linspace(0, 1, _BENDS)))
+
     models = [Model.of(form, relief, seen) for form in FORMS if form.size == 2]
     rho = 0.0
     for _ in range(2):  # the second time with the correlation of the first residuals
         decay = decay_of(rho, row)
         straight, best = (
             min((_profile(model, x, y, bend, decay) for model in models), key=lambda profile: profile.squares.min())
-            for bend in (np.array([np.inf]), bends)
+            for bend in (np.array([np.inf]), between(beside))
         )
         rho = correlation(best.residual[:, np.argmin(best.squares)], row)
-    for turn in range(1 + _ZOOMS):
-        likely = rate.size * np.log(best.squares / best.squares.min()) <= _LIKELY
-        if turn < _ZOOMS:
-            near = np.flatnonzero(likely)
-            bends = np.linspace(bends[max(near[0] - 1, 0)], bends[min(near[-1] + 1, bends.size - 1)], _BENDS)
-            best = _profile(best.model, x, y, bends, decay)
-    k, scale = int(np.argmin(best.squares)), unit / top
-    if best.theta[k, 1] <= 0 or rate.size * np.log(straight.squares[0] / best.squares[k]) < _FOUNDER:
-        return Founder(correlation=rho), straight.residual[:, 0]
-    error, fall = np.abs(bends[likely] - bends[k]).max() / 2, best.theta[k, 2]
-    weight_stderr, fall_stderr = float(error * top), float(best.fall_stderr[k] * scale)
-    fall = float(fall * (fall > _LEAST_FALL) * scale)
-    return Founder(float(bends[k] * top), weight_stderr, fall, fall_stderr, rho), best.residual[:, k]
+    # Whether there is a founder is told by enough rows on both sides, its error by all forms and nearly all weights.
+    for tried, near in (([best.model], between(beside)), (models, between(_FEWEST_BESIDE))):
+        for _ in range(_ZOOMS):
+            bends = near
+            profiles = [_profile(model, x, y, bends, decay) for model in tried]
+            squares = np.min([profile.squares for profile in profiles], axis=0)
+            k, likely = int(np.argmin(squares)), rate.size * np.log(squares / squares.min()) <= _LIKELY
+            first, last = np.flatnonzero(likely)[[0, -1]]
+            near = np.linspace(bends[max(first - 1, 0)], bends[min(last + 1, bends.size - 1)], _BENDS)
+        best = min(profiles, key=lambda profile: profile.squares[k])
+        if best.theta[k, 1] <= 0 or rate.size * np.log(straight.squares[0] / best.squares[k]) < _FOUNDER:
+            return Founder(correlation=rho), straight.residual[:, 0]
+    error, fall = np.abs(bends[likely] - bends[k]).max() / 2, float(best.theta[k, 2])
+    values = float(bends[k] * top), float(error * top), fall * (fall > _LEAST_FALL) * scale
+    return Founder(*values, float(best.fall_stderr[k] * scale), rho), best.residual[:, k]
 
 
 def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, " bends"], decay: Lanes) -> _Profile:

@@ -41,10 +41,11 @@ from vibrojax.pictures.plots import (
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, FORMULAS, LOGARITHMIC, SAME_AS_ONSET, Standing
-from vibrojax.studies.rop_group import COEFFICIENTS, Founder
+from vibrojax.studies.rop_group import COEFFICIENTS, LEAST_DEGREES_OF_FREEDOM, Founder
 
 _ONSET_STANDARD_ERRORS = 2.0  # by which an onset is below 1 before the verdict says so
 _GROUPS_LISTED = 12
+LEAST_COMPARED = max(form.size for form in FORMS) + LEAST_DEGREES_OF_FREEDOM
 _PER_HOUR, _PER_STEP = 3600.0, 10e3  # the fall of the rate in m/h per 10 kN
 _PER_HOUR_OF_LOGS = {"m s-1": (_PER_HOUR, "m/h")}  # as drillers write rates
 _KEPT = ("undecided", "contains-chosen", "chosen")
@@ -184,9 +185,11 @@ def verdict(fit: xr.Dataset) -> list[str]:
     unknown, by_blocks = "reference_force" in fit.attrs, bool(fit["cv_error"].notnull().any())
     lines = []
     if missed := [group for title, group in groups.items() if title not in judged]:
-        reasons = pd.Series([[*group["reason"][group["aic"].isna()], "too-few-lanes"][0] for group in missed])
+        unfitted = (group["reason"][group["aic"].isna()] for group in missed)
+        reasons = pd.Series([[*each[each != "unknown-threshold"], "too-few-lanes"][0] for each in unfitted])
         counts = ", ".join(f"{reason} {count}" for reason, count in reasons.value_counts().sort_index().items())
-        lines.append(f"not every form can be told in {len(missed)} of {len(groups)}: {counts}")
+        needed = f" ({LEAST_COMPARED} lanes with a rate are needed)" * ("too-few-lanes" in reasons.to_numpy())
+        lines.append(f"not every form can be told in {len(missed)} of {len(groups)}: {counts}{needed}")
     if not judged:
         return [*lines, "no form can be told from the lanes that are there"] + [LIMITS_OF_LOGS] * is_log(fit)
     how = "by the rates of each block of rows, predicted from the other blocks (CV)" if by_blocks else "by AIC"
@@ -272,7 +275,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         f"Data and curves of {len(groups)} of {count} groups" * (len(groups) < count),
         f"Fitted along {along}; bars and bands of one standard error of C",
         "η = P/D, " + ("the mean force over the threshold" if np.isnan(force) else f"where D is {force / 1e3:.4g} kN"),
-        f"Evidence above {limit:g} rejects a form",
+        f"Evidence above {limit:g} rejects a form" * bool(fit["evidence_against"].notnull().any()),
         f"Evidence above {_MOST_EVIDENCE:g} is drawn at {_MOST_EVIDENCE:g}" * (longest_axis(fit).name != "" and strong),
         LIMITS_OF_LOGS * is_log(fit),
     ]
@@ -295,7 +298,8 @@ def law_lines(fit: xr.Dataset) -> Sheet:
             of = fit.sel({FORM: name}).squeeze()
             against = float(f"{float(of['evidence_against']):.3g}")
             is_chosen = int(of["standing"]) == Standing.CHOSEN
-            formula += "\nchosen" if is_chosen else f"\nevidence against {number(against)}"
+            if np.isfinite(against):
+                formula += "\nchosen" if is_chosen else f"\nevidence against {number(against)}"
         keys[0].append(key(f"{name}: {formula}", dash=_DASHES.get(name, "-"), colour=form_colour(name)))
     size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * -(-len(groups) // wide) + STACK_MARGINS
     above, x = Sheet(plots, size, keys=keys, **margins(fit, *notes)), longest_axis(fit)
