@@ -18,7 +18,8 @@ from vibrojax.io.attributes import parameters_of
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.record import Record, SampledMotion, events, record_batch, sample, states_shown
 from vibrojax.lazy import jax
-from vibrojax.pictures.motion import unsettled_text, with_events
+from vibrojax.pictures.motion import unsettled_text
+from vibrojax.pictures.runs import with_events
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at

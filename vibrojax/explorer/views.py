@@ -31,8 +31,8 @@ from vibrojax.pictures import branches
 from vibrojax.pictures.axes import symbols_of
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.contents import FORM, START, long_axes
-from vibrojax.pictures.motion import with_events
 from vibrojax.pictures.overlays import axes_of
+from vibrojax.pictures.runs import with_events
 from vibrojax.pictures.starts import described
 from vibrojax.progress import LOG
 from vibrojax.scenes import SCENES

@@ -181,9 +181,7 @@ def value_plots(facet: xr.Dataset, values: Sequence[Value], x: str) -> list[Plot
             layers: list[Layer] = [lane_dots(along, heights.values.ravel(), cells, dot_size(facet.sizes[x]))]
         else:
             layers = value_lines(starts_of(facet), value, lambda lanes: axes.values_along(lanes[x]))
-        plots.append(
-            Plot(layers, y=colours.value_axis(value, value.label.replace(" [", "\n["), zero="zero everywhere"))
-        )
+        plots.append(Plot(layers, y=colours.value_axis(value, value.label.replace(" [", "\n["))))
     return plots
 
 
@@ -372,14 +370,14 @@ def rates(ds: xr.Dataset) -> Sheet:
     dash = x.dash(ds)
     named = bool(by) and not is_numeric(ds[by]) and bool(dash)  # starts or rocks, whose lines may coincide
 
-    def from_zero(name: str, label: str, factor: float = 1.0, zero: str = "") -> Axis:
+    def from_zero(name: str, label: str, factor: float = 1.0) -> Axis:
         """Return an axis from zero, to show whether lines pass through it."""
         top = _BEYOND * factor * float(ds[name].max(skipna=True).fillna(0.0)) or 1.0
-        return Axis(label, name, (-0.03 * top, top), group=name, zero=zero)
+        return Axis(label, name, (-0.03 * top, top), group=name)
 
     def draw(lines: list[Series], name: str, over_relief: bool) -> Plot:
         factor, unit = axes.scale(ds[name])
-        up = from_zero(name, axes.with_unit(colours.words_for(name), unit), factor, "no penetration")
+        up = from_zero(name, axes.with_unit(colours.words_for(name), unit), factor)
         layers: list[Layer] = []
         for k, line in enumerate(lines):
             places = np.atleast_1d(line.lanes[RELIEF].values) if over_relief else x.of(line.lanes)

@@ -35,7 +35,6 @@ from vibrojax.pictures.plots import (
     bars,
     dots,
     key,
-    patch,
 )
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasRock
@@ -334,12 +333,11 @@ def work_precision(ds: xr.Dataset) -> Picture:
     for index, scene in enumerate(scenes):
         rows = ds.isel({SETTING: ds["scene"].values == scene})
         count = counted(int(rows["lanes"].values[0]), "periodic lane")
-        plots.append(Plot(_layers(rows), across, up, scene, divmod(index, wide), remark=count))
+        plots.append(Plot(_layers(rows, errors[0]), across, up, f"{scene}: {count}", divmod(index, wide)))
     keys: list[Key] = [
         dots(label="down to the median lane", marker="|", size=9.0),
         key("range of the repeats", **_RANGE),
         key("Pareto front", **_BAND),
-        patch(_FLOOR, "below what the reference can tell", edge=""),
     ]
     machine = {"processor": "machine unknown", "cores": "?", "jax": "?"} | table_of(ds, "machine")
     computer = printable("{processor}, {cores} cores, jax {jax}".format(**machine), 180)
@@ -347,7 +345,8 @@ def work_precision(ds: xr.Dataset) -> Picture:
     return Sheet(plots, size, keys=[keys], title=title, note=computer)
 
 
-def _layers(ds: xr.Dataset) -> list[Layer]:
+def _layers(ds: xr.Dataset, least: float) -> list[Layer]:
+    """Return the marks of one scene, above the `least` error of the panels."""
     layers: list[Layer] = []
     front = ds.isel({SETTING: ds["on_front"].values == 1}).sortby("time_per_lane_second")
     if front.sizes[SETTING]:  # a staircase; settings above and to the right of it are worse
@@ -355,10 +354,12 @@ def _layers(ds: xr.Dataset) -> list[Layer]:
         places, heights = [x[0], *x, _EDGES[1]], [_EDGES[1], *y, y[-1]]
         layers.append(Line(np.repeat(places, 2)[1:], np.repeat(heights, 2)[:-1], order=1.0, **_BAND))
     spread = max(float(ds["reference_spread"].values[0]), 1e-16)
-    layers.append(Area([-np.inf, np.inf], [_EDGES[0]] * 2, [spread] * 2, _FLOOR, order=0.0))
+    if spread > 2 * least:  # else it cannot be seen
+        floor = Look(colour=_FLOOR, order=0.0, label="below what the reference can tell")
+        layers.append(Area([-np.inf, np.inf], [_EDGES[0]] * 2, [spread] * 2, **floor))
     absent = np.isnan(ds["time_per_lane_second"].values)
     if absent.any():
-        text = f"{ds['method'].values[absent][0].split()[0]}: cannot run this scene"
+        text = f"{ds['method'].values[absent][0].split()[0]}:\ncannot run\nthis scene"
         layers.append(Text(0.97, 0.97, text, "right", "top", size=7.5, relative=True))
         ds = ds.isel({SETTING: ~absent})
     columns = list(zip(*(ds[name].values.tolist() for name in ("method", "varied", "precision")), strict=True))
