@@ -172,7 +172,7 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
     wide = (sheet.size[0] - LEGEND_WIDTH * bool(legend_of(sheet))) / sum(sheet.widths)
     least = width / sum(sheet.widths) * min(sheet.widths)
     if any(plot.span[2] > 1 for plot in sheet.plots) and least >= _LEAST_BESIDE:
-        wide, tall = width / sum(sheet.widths), _LEAST_SHARE * tall
+        wide, tall = width / sum(sheet.widths), (_LEAST_SHARE * sheet.size[1] - _MARGINS) / sum(sheet.heights)
         plots = [_narrowed(x, wide * _part(sheet.widths, x, 1), tall * _part(sheet.heights, x, 0)) for x in sheet.plots]
         return replace(sheet, plots=plots, size=(width, _LEAST_SHARE * sheet.size[1]), beside=False)
     rows: dict[tuple[bool, int], list[Plot]] = {}
@@ -227,8 +227,9 @@ def in_height(sheet: Sheet) -> Sheet:
 
 def _shortened(axis: Axis, length: float, across: bool = False) -> Axis:
     """Return an axis whose label is broken, and whose ticks are fewer, in a length [inch]."""
-    letters = int(LETTERS * length)
-    label = broken(axis.label, letters)
+    letters, label = int(LETTERS * length), axis.label
+    if max(map(len, label.splitlines()), default=0) > letters:
+        label = broken(label, letters)
     if label.count("\n") > 1:  # without the words before the symbol
         label = broken(" ".join(axis.label.split()).rpartition(", ")[2], letters)
     few = 3 if length < 1.4 else 4

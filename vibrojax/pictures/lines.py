@@ -166,7 +166,7 @@ def _strip(facet: xr.Dataset, x: str) -> Plot:
     if SENSITIVE in facet:
         row, column = np.nonzero(by_start[SENSITIVE].transpose(START, x).values == 1)
         layers += [replace(colours.SENSITIVE_KEY, x=along[column], y=row)] if row.size else []
-    ticks = [(float(k), start.name) for k, start in enumerate(starts_of(facet))]
+    ticks = [(float(k), start.name) for k, start in enumerate(starts_of(facet)) if start.name]
     return Plot(layers, y=Axis(ticks=ticks, limits=(-0.5, len(rows) - 0.5), reversed=True), name="regimes")
 
 
@@ -381,7 +381,8 @@ def rates(ds: xr.Dataset) -> Sheet:
         layers: list[Layer] = []
         for k, line in enumerate(lines):
             places = np.atleast_1d(line.lanes[RELIEF].values) if over_relief else x.of(line.lanes)
-            look = nested_line(k, len(lines)) if named else {"dash": dash}
+            nested = named or (name != RATE and bool(dash))  # blows of several lines may be the same
+            look = nested_line(k, len(lines)) if nested else {"dash": dash}
             layers += _rate_layers(line, places, factor * np.atleast_1d(line.lanes[name].values), look)
         return Plot(layers, from_zero(RELIEF, colours.words_for(RELIEF)) if over_relief else x.axis(ds), up)
 

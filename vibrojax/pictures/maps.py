@@ -31,7 +31,7 @@ from vibrojax.pictures.plots import (
     dots,
     one_colour,
 )
-from vibrojax.pictures.style import NO_VALUE, NOTHING
+from vibrojax.pictures.style import DASHED, NO_VALUE, NOTHING
 
 Values = Sequence[Value]
 
@@ -104,7 +104,7 @@ def region(x: xr.DataArray, y: xr.DataArray) -> list[Line]:
     cut = [(a != b)[:-1] & (a != b)[1:] & (np.diff(a) == 0) for a, b in ((xs, across), (ys, up))]
     gaps = 1 + np.flatnonzero(cut[0] | cut[1])
     path = np.insert(across, gaps, np.nan), np.insert(up, gaps, np.nan)
-    return [Line(*path, width=1.3, halo=0.85, label="source's best region", order=3.0)]
+    return [Line(*path, width=1.3, dash=DASHED, halo=0.6, label="source's best region", order=3.0)]
 
 
 def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: Sequence[xr.Dataset] = ()) -> Sheet:
@@ -114,9 +114,9 @@ def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over:
     points, lines = POINT in lane_dims(ds), False
     ds = ds if points else ds.sortby([x, y])
     panels = split_starts(ds) if points else facets(ds, (x, y), MOST_PANELS // (1 + (len(values) >= _MANY_VALUES)))
-    if len(panels) > _MOST_BESIDE and is_narrow() and values[1:]:
+    if len(panels) > (_MOST_BESIDE if is_narrow() else _MOST_COLUMNS) and values[1:]:
         names = ", ".join(value.name for value in values[1:])
-        values, notes = values[:1], (*notes, f"Room for one variable in this width; not shown: {names}")
+        values, notes = values[:1], (*notes, f"Room for one variable; not shown: {names}")
 
     def layers_of(facet: xr.Dataset, value: Value) -> list[Layer]:
         nonlocal lines

@@ -170,7 +170,7 @@ def _spectrum(motion: Run) -> Plot:
     for frequency, amplitude in sorted(named, key=lambda peak: -peak[1]):
         if frequency < end and all(abs(frequency - text.x) > lobe for text in texts):
             texts.append(Text(frequency, amplitude, f"{number(round(frequency, 2))} Hz", "left", "bottom", **look))
-    up = Axis("amplitude [mm]", limits=(0.0, 1.12 * top))  # room for the text at the highest peak
+    up = Axis("amplitude [mm]", limits=(0.0, 1.25 * top))  # room for the text at the highest peak
     title = "spectrum, second half of the run"
     return Plot([*layers, *texts], Axis("frequency [Hz]", limits=(0.0, end)), up, title, keys="upper right")
 

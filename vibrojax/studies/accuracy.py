@@ -31,7 +31,6 @@ from vibrojax.pictures.plots import (
     Picture,
     Plot,
     Sheet,
-    Text,
     bars,
     dots,
     key,
@@ -341,8 +340,11 @@ def work_precision(ds: xr.Dataset) -> Picture:
     ]
     machine = {"processor": "machine unknown", "cores": "?", "jax": "?"} | table_of(ds, "machine")
     computer = printable("{processor}, {cores} cores, jax {jax}".format(**machine), 180)
+    absent = ds.isel({SETTING: ds["time_per_lane_second"].isnull().values})
+    pairs = dict.fromkeys(zip(absent["method"].values.tolist(), absent["scene"].values.tolist(), strict=True))
+    cannot = dict.fromkeys(f"{method.split()[0]} cannot run {scene}" for method, scene in pairs)
     title, size = title_of(ds, "Speed against error"), (3.1 * wide + 2.2, 3.0 * deep + 0.35)
-    return Sheet(plots, size, keys=[keys], title=title, note=computer)
+    return Sheet(plots, size, keys=[keys], title=title, note=". ".join([computer, *cannot]))
 
 
 def _layers(ds: xr.Dataset, least: float) -> list[Layer]:
@@ -357,11 +359,7 @@ def _layers(ds: xr.Dataset, least: float) -> list[Layer]:
     if spread > 2 * least:  # else it cannot be seen
         floor = Look(colour=_FLOOR, order=0.0, label="below what the reference can tell")
         layers.append(Area([-np.inf, np.inf], [_EDGES[0]] * 2, [spread] * 2, **floor))
-    absent = np.isnan(ds["time_per_lane_second"].values)
-    if absent.any():
-        text = f"{ds['method'].values[absent][0].split()[0]}:\ncannot run\nthis scene"
-        layers.append(Text(0.97, 0.97, text, "right", "top", size=7.5, relative=True))
-        ds = ds.isel({SETTING: ~absent})
+    ds = ds.isel({SETTING: ds["time_per_lane_second"].notnull().values})
     columns = list(zip(*(ds[name].values.tolist() for name in ("method", "varied", "precision")), strict=True))
     for column in dict.fromkeys(columns):
         here = ds.isel({SETTING: [index for index, other in enumerate(columns) if other == column]}).sortby("value")

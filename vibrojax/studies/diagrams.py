@@ -140,13 +140,13 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
             above = of_force * float(np.min(force[rate > 0], initial=np.inf))
             below = of_force * float(np.max(force[(rate == 0) & (of_force * force < above)], initial=-np.inf))
             if not np.isfinite(above):
-                text = "no onset"
+                text = "none"
             elif not np.isfinite(below):
-                text = f"onset below {above:.4g} {force_unit}"
+                text = f"below {above:.4g}"
             else:
-                text = f"onset at {below:.4g} to {above:.4g} {force_unit}"
+                text = f"{below:.4g}–{above:.4g}"
             where = [value_text(line.lanes[name], line.lanes[name].item()) for name in facet_names]
-            onsets.setdefault(line.name, []).append(", ".join([*where, text]).replace("rock: ", ""))
+            onsets.setdefault(line.name, []).append(" ".join([*where, text]).removeprefix("rock: "))
             if few and np.isfinite(below):
                 layers.append(Area([below, above], [-np.inf] * 2, [np.inf] * 2, line.colour, 0.15))
             for mask, face in ((rate > 0, line.colour), (rate == 0, "white")):
@@ -163,10 +163,10 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
     sheet = row_per_facet(ds, x, by, [draw], [])
     lines = line_keys(ds, by) or [key("", marker="o", colour=BIT)]
     if few:
-        lines = [
-            replace(each, label=":\n".join(filter(None, (each.label, "\n".join(onsets[each.label]))))) for each in lines
-        ]
-    return replace(sheet, keys=[lines, marks])
+        heads = [with_unit(", ".join(filter(None, (line.label, "onset"))), force_unit) for line in lines]
+        texts = ["\n".join([head, *onsets[line.label]]) for line, head in zip(lines, heads, strict=True)]
+        lines = [replace(line, label=text) for line, text in zip(lines, texts, strict=True)]
+    return replace(sheet, keys=[marks, lines])
 
 
 DIAGRAMS: dict[str, Callable[[xr.Dataset], Picture]] = {
