@@ -7,6 +7,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.errors import InputError
+from vibrojax.io.runs import Run, Samples, read_run
 from vibrojax.pictures.axes import margins
 from vibrojax.pictures.contents import Contents
 from vibrojax.pictures.motion import (
@@ -21,7 +22,6 @@ from vibrojax.pictures.motion import (
     time_axis,
 )
 from vibrojax.pictures.plots import INK, Axis, Layer, Line, Plot, Sheet
-from vibrojax.pictures.runs import Run, Samples, read_run
 from vibrojax.pictures.style import BIT, ROCK
 
 _ENLARGED_BLOWS = 2

@@ -22,9 +22,6 @@ from vibrojax.pictures.plots import Axis, Plot, Sheet, legend_of
 
 MOST_PANELS = 12
 
-PAGE = (16.0, 20.0)
-"""Greatest width and height [inch] of a sweep's picture, margins included."""
-
 LEGEND_WIDTH = 1.9
 """The approximate width [inch] of a legend at the right."""
 

@@ -11,11 +11,11 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError
+from vibrojax.io.runs import Run, Samples, read_run
 from vibrojax.pictures.axes import axis, margins, number, scale
 from vibrojax.pictures.colours import value_axis, value_of
 from vibrojax.pictures.contents import TIME, Contents
 from vibrojax.pictures.plots import FAINT, INK, Area, Axis, Layer, Line, Look, Plot, Sheet, Text, dots, level, upright
-from vibrojax.pictures.runs import Run, Samples, read_run
 from vibrojax.pictures.style import BIT, DASHED, IMPACT, ROCK, SAVED_DPI, STICK, STRIKER
 
 FIGURE_WIDTH = 10.0  # of the figures [inch]
@@ -144,7 +144,7 @@ def _portrait(motion: Run, start: float, x: str, speed: str, label: str) -> Plot
     if x == "x1":
         layers.append(Line(1e3 * late[x], np.where(late["stuck"] == 1, late[speed], np.nan), STICK, 2.8, order=3.0))
     layers.append(dots(*(np.interp(late.impacts, late.time, part) for part in (1e3 * late[x], late[speed])), **_DOTS))
-    title = name + ", before the end grey" * bool(start > motion.time[0])
+    title = name + ", earlier in grey" * bool(start > motion.time[0])
     return Plot(layers, Axis(f"{symbol} [mm]"), Axis(label), title)
 
 

@@ -269,11 +269,6 @@ def as_sheet(plots: Picture) -> Sheet:
     return Sheet(placed, (3.6 * wide + 1.6, 3.0 * -(-len(plots) // max(wide, 1)) + 0.6))
 
 
-def plots_of(sheet: Sheet) -> list[Plot]:
-    """Return the plots of a sheet with the limits of their axes."""
-    return resolved(sheet.plots)
-
-
 def legend_of(sheet: Sheet) -> list[list[Key]]:
     """Return the groups of legend entries: the keys of the sheet, and those of layers with labels, each text once.
 

@@ -20,21 +20,7 @@ from vibrojax.errors import InputError, Place, counted, printable, suggestion
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.contents import SETTING
-from vibrojax.pictures.plots import (
-    INK,
-    Area,
-    Axis,
-    Key,
-    Layer,
-    Line,
-    Look,
-    Picture,
-    Plot,
-    Sheet,
-    bars,
-    dots,
-    key,
-)
+from vibrojax.pictures.plots import INK, Area, Axis, Key, Layer, Line, Look, Picture, Plot, Sheet, bars, dots, key
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasRock
 from vibrojax.settings.values import check_distinct

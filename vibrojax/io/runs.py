@@ -9,9 +9,8 @@ from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError
 from vibrojax.io.attributes import flags, parameters_of
-from vibrojax.pictures.contents import TIME
 
-_FEWEST_SAMPLES = 16
+_TIME, _FEWEST_SAMPLES = "time", 16
 
 Samples = Float[np.ndarray, " samples"]
 
@@ -49,15 +48,15 @@ def read_run(ds: xr.Dataset, *states: str) -> Run:
     **Raises:** `InputError` if a state is missing or samples are too few.
     """
     missing = [name for name in states if name not in ds]
-    if missing or TIME not in ds.dims:
+    if missing or _TIME not in ds.dims:
         raise InputError(f"no trajectory to draw: the dataset lacks {', '.join(missing) or 'dimension time'}")
-    ds = ds.isel({TIME: np.flatnonzero(np.isfinite(sum(ds[name].values for name in states)))})
-    if ds.sizes[TIME] < _FEWEST_SAMPLES:
-        reason = f"{ds.sizes[TIME]} finite samples, {_FEWEST_SAMPLES} or more are needed"
+    ds = ds.isel({_TIME: np.flatnonzero(np.isfinite(sum(ds[name].values for name in states)))})
+    if ds.sizes[_TIME] < _FEWEST_SAMPLES:
+        reason = f"{ds.sizes[_TIME]} finite samples, {_FEWEST_SAMPLES} or more are needed"
         raise InputError(f"no trajectory to draw: {reason}")
-    along = {str(name): data for name, data in ds.data_vars.items() if data.dims == (TIME,)}
-    time, parameters = np.asarray(ds[TIME].values, float), parameters_of(ds)
-    along["stuck"] = (along["stuck"] == 1 if "stuck" in along else xr.zeros_like(ds[TIME])).astype(float)
+    along = {str(name): data for name, data in ds.data_vars.items() if data.dims == (_TIME,)}
+    time, parameters = np.asarray(ds[_TIME].values, float), parameters_of(ds)
+    along["stuck"] = (along["stuck"] == 1 if "stuck" in along else xr.zeros_like(ds[_TIME])).astype(float)
     if "x3" in along and "v3" not in along:
         along["v3"] = along["x3"].copy(data=np.gradient(along["x3"].values, time))
     time, data = with_events(ds.assign(along))
@@ -80,7 +79,7 @@ def with_events(motion: xr.Dataset) -> tuple[Samples, dict[str, xr.DataArray]]:
     section crossing, they are interpolated from up to two samples on each side. If events lie between the same two
     samples, the values are those before the first and after the last of them.
     """
-    time, data = motion[TIME].values, {str(n): x for n, x in motion.data_vars.items() if x.dims == (TIME,)}
+    time, data = motion[_TIME].values, {str(n): x for n, x in motion.data_vars.items() if x.dims == (_TIME,)}
     data = {name: x for name, x in data.items() if x.dtype.kind == "f"}
     moments = motion["event_time"].values if "event_time" in motion else np.zeros(0)
     jumps = moments[~_are(motion, "section")]
@@ -106,7 +105,7 @@ def with_events(motion: xr.Dataset) -> tuple[Samples, dict[str, xr.DataArray]]:
     places = np.repeat(after, 2)
     whole = np.insert(values, places, np.stack(sides, axis=1), axis=1)
     times = np.insert(time, places, moments[np.stack([first, last], axis=1).ravel()])
-    return times, {n: xr.DataArray(x, dims=TIME, attrs=data[n].attrs) for n, x in zip(data, whole, strict=True)}
+    return times, {n: xr.DataArray(x, dims=_TIME, attrs=data[n].attrs) for n, x in zip(data, whole, strict=True)}
 
 
 def _are(motion: xr.Dataset, kind: str) -> Bool[np.ndarray, " events"]:
