@@ -9,7 +9,7 @@ import xarray as xr
 
 from vibrojax.io.variables import VARIABLES, described
 from vibrojax.pictures.branches import MARKS
-from vibrojax.pictures.plots import Cells, Line, as_sheet, labelled_layers, legend_of, plots_of
+from vibrojax.pictures.plots import Cells, Line, as_sheet, labelled_layers, legend_of, resolved
 from vibrojax.pictures.style import drawable
 from vibrojax.scenes import SCENES
 from vibrojax.studies.analysis import analysis_of
@@ -290,7 +290,7 @@ def cells(sheet, name=None):
 def plot_of(sheet, **criterion):
     """Return the first plot with a title, or a label of y, that contains a text."""
     ((name, text),) = criterion.items()
-    return next(plot for plot in plots_of(sheet) if text in (plot.title if name == "title" else plot.y.label))
+    return next(plot for plot in resolved(sheet.plots) if text in (plot.title if name == "title" else plot.y.label))
 
 
 def orbit_lines(plot):
@@ -311,13 +311,13 @@ def marks_of(plot):
 
 def labels(sheet):
     """Return the texts of the legends of a sheet."""
-    own = [layer.label for plot in plots_of(sheet) if plot.keys for layer in labelled_layers(plot)]
+    own = [layer.label for plot in resolved(sheet.plots) if plot.keys for layer in labelled_layers(plot)]
     return own + [layer.label for group in legend_of(sheet) for layer in group]
 
 
 def scales(sheet):
     """Return the quantities that have a colour bar."""
-    return list({id(plot.scale): plot.scale for plot in plots_of(sheet) if plot.scale is not None}.values())
+    return list({id(plot.scale): plot.scale for plot in resolved(sheet.plots) if plot.scale is not None}.values())
 
 
 # Texts of a figure.

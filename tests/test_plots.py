@@ -427,7 +427,7 @@ def test_studies_show_their_numbers():
     assert drive.title == "start drive: 40 % of the plane" and labels(sheet_of(BORDERS)) == ["basin"]
     assert any_start.layers[0].text.replace("\n", " ") == "no border: a single impact is stable everywhere"
     along = sheet_of(ATTRACTORS).plots[0]
-    tops = [layer.high.tolist() for layer in along.layers if isinstance(layer, Area)]
+    tops = [(layer.y + layer.height).tolist() for layer in along.layers if isinstance(layer, Bars)]
     assert tops == [pytest.approx([70.0, 100.0]), pytest.approx([100.0, 100.0])]
     with pytest.raises(InputError, match="chart: the dataset holds no impacts over a grid"):
         chart(ATTRACTORS)

@@ -5,6 +5,7 @@ contain only scenes and names that the package or a plugin defines, and finite n
 """
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,6 @@ from vibrojax.pictures.style import OTHER_COLOURS
 from vibrojax.scenes import SCENES
 from vibrojax.settings.names import known_options, read_names
 from vibrojax.studies.attractors import BEYOND
-from vibrojax.studies.attractors import COLOURS as ATTRACTOR_COLOURS
 
 Document = dict[str, Any]
 
@@ -189,7 +189,7 @@ def coordinate_document(data: xr.DataArray) -> Document:
     }
 
 
-def variable_document(data: xr.DataArray) -> Document:
+def variable_document(data: xr.DataArray, of_attractors: Sequence[str] = ()) -> Document:
     """Return the description of a variable: meaning, colours and values; of multipliers, only the largest."""
     data = data.isel(multiplier=0) if "multiplier" in data.dims else data
     value = value_of(data)
@@ -198,7 +198,7 @@ def variable_document(data: xr.DataArray) -> Document:
     if data.name == "lane_attractor":
         numbers = [int(x) for x in np.unique(data.values)]
         meanings = {str(n): f"attractor {n}" if n >= 0 else "unassigned" for n in numbers}
-        palette = dict(enumerate(ATTRACTOR_COLOURS))
+        palette = dict(enumerate(of_attractors))
         colours = {str(n): palette.get(n, BEYOND) for n in numbers}
     elif meanings is not None and "single-impact" in meanings.values():
         colours = {flag: REGIME_COLOURS.get(int(flag), _other_colour(flag)) for flag in meanings}

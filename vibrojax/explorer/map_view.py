@@ -38,6 +38,7 @@ from vibrojax.pictures.plots import Plot
 from vibrojax.pictures.returns import returns_label
 from vibrojax.pictures.starts import described, on_axes, varied_states
 from vibrojax.progress import Progress, quiet
+from vibrojax.studies.attractors import attractor_colours
 
 LANE = "lane_number"
 """Name of the variable with the number of the lane that each map cell shows."""
@@ -73,7 +74,8 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         ds = ds.assign_coords(
             sign=("sign", np.where(ds["sign"].values > 0, "positive", "negative"), {"long_name": "side of the push"})
         )
-    variables = [document.variable_document(ds[name]) for name in _shown_variables(ds)]
+    of_attractors = attractor_colours(ds) if {"share", REGIME} <= {*ds} and contents.ATTRACTOR in ds.dims else ()
+    variables = [document.variable_document(ds[name], of_attractors) for name in _shown_variables(ds)]
     for variable in variables:
         if "inner" in variable:
             variable["label"] = with_unit(returns_label(ds[variable["name"]]), variable["units"])

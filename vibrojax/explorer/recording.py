@@ -15,10 +15,11 @@ from vibrojax.compile.xla import precision
 from vibrojax.errors import printable
 from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColumn
 from vibrojax.io.attributes import parameters_of
+from vibrojax.io.runs import with_events
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.record import Record, SampledMotion, events, record_batch, sample, states_shown
 from vibrojax.lazy import jax
-from vibrojax.pictures.motion import unsettled_text, with_events
+from vibrojax.pictures.motion import unsettled_text
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at

@@ -21,6 +21,7 @@ from vibrojax.explorer.recording import Excerpt, cell_of, record_cells
 from vibrojax.io.attributes import flags, parameters_of, run_of, text_of
 from vibrojax.io.dataset import check_dataset
 from vibrojax.io.kinds import kind_of
+from vibrojax.io.runs import with_events
 from vibrojax.io.variables import orbit_name
 from vibrojax.maps.read import Point, read_point
 from vibrojax.maps.rerun import at_coordinates, has_lanes_of, rerun_problem, sweep_of_dataset
@@ -31,7 +32,6 @@ from vibrojax.pictures import branches
 from vibrojax.pictures.axes import symbols_of
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.contents import FORM, START, long_axes
-from vibrojax.pictures.motion import with_events
 from vibrojax.pictures.overlays import axes_of
 from vibrojax.pictures.starts import described
 from vibrojax.progress import LOG

@@ -115,9 +115,12 @@ def broken_title(text: str, letters: int) -> str:
     """Return a title in lines of at most `letters` characters, broken between its parts if they are short enough."""
     if "\n" in text:
         return "\n".join(broken_title(line, letters) for line in text.splitlines())
-    unbroken = re.sub("([,:])\u00a0", r"\1 ", text.replace(" ", "\u00a0"))
-    parts = fill(unbroken, letters, break_long_words=False).replace("\u00a0", " ")
-    return parts if max(map(len, parts.splitlines()), default=0) <= letters else fill(text, letters)
+    for marks in (",", ",:"):
+        unbroken = re.sub(f"([{marks}])\u00a0", r"\1 ", text.replace(" ", "\u00a0"))
+        parts = fill(unbroken, letters, break_long_words=False).replace("\u00a0", " ")
+        if max(map(len, parts.splitlines()), default=0) <= letters:
+            return parts
+    return fill(text, letters)
 
 
 def with_unit(text: str, unit: str) -> str:

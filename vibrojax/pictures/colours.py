@@ -59,11 +59,10 @@ _WORDS = {
 _COLOUR_MAPS = {"rate_of_penetration": "plasma", "bit_amplitude": "plasma"}
 _COLOUR_MAPS |= dict.fromkeys(("period", "mean_force", "relief"), "cividis")
 _STABILITY_COLOURS = {-1: "#BBBBBB", 0: "#D55E00", 1: "#0072B2"}
-_OF_DRILL = ("impact_velocity", "period", "bit_amplitude")
 _OF_ROCK = (RATE, "slip_per_impact", RELIEF, "mean_force")
 _NOTHING_AT_ZERO = {"rate_of_penetration", "slip_per_impact"}
 ROBUST = (2.0, 98.0)  # percentiles
-_OUTLIER_RANGE = 2.0  # outliers are farther from the robust limits than this, in units of the robust range
+_OUTLIER_RANGE = 0.2  # outliers are farther from the robust limits than this, in units of the robust range
 _SPREAD = {"rate_of_penetration", "slip_per_impact", "C"}  # quantities that may extend over decades
 _LOG_SHARE, _LOG_RATIO = 20.0, 15.0  # logarithmic if this percentage of values is below the greatest over this factor
 _CONSTANT = 1e-9  # relative range up to which values count as equal
@@ -262,10 +261,9 @@ def _varies(values: Cells) -> bool:
 def _norm(name: str, finite: Cells) -> "colors.Normalize":
     """Return the colour scale: robust against outliers, logarithmic over decades."""
     low, high = robust = tuple(float(limit) for limit in np.percentile(finite, ROBUST))
-    if name not in _OF_DRILL:
-        beyond = _OUTLIER_RANGE * (high - low)
-        least, greatest = float(finite.min()), float(finite.max())
-        low, high = (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
+    beyond = _OUTLIER_RANGE * (high - low)
+    least, greatest = float(finite.min()), float(finite.max())
+    low, high = (least if least >= low - beyond else low), (greatest if greatest <= high + beyond else high)
     if name in _SPREAD and finite.min() > 0 and float(np.percentile(finite, _LOG_SHARE)) < high / _LOG_RATIO:
         return colors.LogNorm(robust[0], high)
     if high - low <= 1e-6 * abs(high):  # one value everywhere: a bar with room on both sides

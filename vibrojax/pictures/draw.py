@@ -24,7 +24,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from vibrojax.pictures import plots
 from vibrojax.pictures.axes import broken
-from vibrojax.pictures.layout import LETTERS, NARROW, TALLEST, WIDTH, in_width
+from vibrojax.pictures.layout import LETTERS, NARROW, TALLEST, WIDTH, in_height, in_width
 from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import NO_VALUE, plain, settings
 
@@ -39,7 +39,6 @@ _BAR_INTERVALS, _INTERVALS_PER_INCH = 6, 2.4  # between the ticks of a colour ba
 _BAR_ASPECT = 24.0  # length over width of a colour bar below one panel
 _FEW_DECADES = 1e3  # ratio of the ends of a logarithmic axis below which 1, 2 and 5 have labels, as plain numbers
 _FEW_TICKS = 4  # intervals up to which such an axis of more than as many decades has only powers of ten
-_DASHED_LENGTH = 2.8  # length of a dashed line in the legend, in units of the font size: two dashes or more
 _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
 _LINE_HEIGHT = 1.6  # line spacing in units of the font size
@@ -80,11 +79,11 @@ def draw(picture: plots.Picture | Figure) -> Figure:
         return picture
     sheet = plots.as_sheet(picture)
     with settings(_SMALL if width and width < sheet.size[0] else {}):
-        sheet = in_width(sheet, width) if width else sheet
+        sheet = in_width(sheet, width) if width else in_height(sheet)
         figure = new_figure(*sheet.size)
         _draw_plots(figure, sheet)
         sheet = _draw_legend(figure, sheet)
-        _write_margins(figure, sheet, TALLEST if width else np.inf)
+        _write_margins(figure, sheet)
         # Ticks are created when the figure is rendered, under the user's settings.
         for axes in figure.axes:
             axes.tick_params(labelsize=rcParams["xtick.labelsize"])
@@ -116,26 +115,23 @@ def _draw_plot(axes: Axes, plot: Plot, shown: Sequence[Plot]) -> None:
     row, column, _, wide = plot.span
     same_column = [p for p in shown if p.x.group == plot.x.group != "" and p.span[1::2] == (column, wide)]
     same_row = [p for p in shown if p.y.group == plot.y.group != "" and p.place[0] == row]
-    _draw_axis(axes, "x", plot.x, outer=not any(p.place[0] > row for p in same_column))
-    _draw_axis(axes, "y", plot.y, outer=not any(p.place[1] < column for p in same_row))
-    if plot.grid and not plot.has_cells:
-        axes.grid(True, axis=plot.grid)  # type: ignore[arg-type]
+    _draw_axis(axes, "x", plot.x, plot.has_cells, outer=not any(p.place[0] > row for p in same_column))
+    _draw_axis(axes, "y", plot.y, plot.has_cells, outer=not any(p.place[1] < column for p in same_row))
     if plot.square:
         axes.set_aspect("equal")
-    bold: dict[str, Any] = {"color": plot.title_colour, "fontweight": "bold"} if plot.title_colour else {}
-    is_centred = plot.has_cells or plot.square or bool(bold)
-    axes.set_title(plain(plot.title), loc="center" if is_centred else "left", **bold)
-    axes.set_title(plain(plot.remark), loc="right", fontsize=rcParams["legend.fontsize"])
+    axes.set_title(plain(plot.title), loc="center" if plot.has_cells or plot.square else "left")
     if plot.keys:
+        handles = [_handle(layer) for layer in plots.labelled_layers(plot)]
         place: dict[str, Any] = {"loc": plot.keys}
         if plot.keys in _ABOVE:
             loc, x = _ABOVE[plot.keys]
             place = {"loc": loc, "bbox_to_anchor": (x, 1.0), "borderpad": 0.0, "borderaxespad": 0.3}
-        axes.legend(handles=[_handle(layer) for layer in plots.labelled_layers(plot)], ncols=plot.key_columns, **place)
+            place["ncols"] = len(handles)
+        axes.legend(handles=handles, **place)
 
 
-def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: plots.Axis, outer: bool) -> None:
-    """Set scale, limits, ticks and label of an axis; only the `outer` panels have labels."""
+def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: plots.Axis, cells: bool, outer: bool) -> None:
+    """Set scale, limits, ticks, grid and label of an axis; only the `outer` panels have labels."""
     axis = getattr(axes, f"{which}axis")
     low, high = shown.limits
     if shown.log:
@@ -147,6 +143,7 @@ def _draw_axis(axes: Axes, which: Literal["x", "y"], shown: plots.Axis, outer: b
         axis.set_minor_formatter(NullFormatter())
     elif shown.intervals:
         axis.set_major_locator(MaxNLocator(shown.intervals, steps=_ROUND_STEPS))
+    axis.grid(shown.ticks is None and not cells)
     axes.set(**{f"{which}lim": (high, low) if shown.reversed else (low, high)})
     if shown.ticks is not None:
         axis.set_ticks([value for value, _ in shown.ticks], [plain(text) for _, text in shown.ticks])
@@ -244,9 +241,7 @@ def _draw_legend(figure: Figure, sheet: Sheet) -> Sheet:
     if sheet.beside:
         gap = Line2D([], [], linestyle="none", label=" ")
         handles = [handle for group in groups for handle in (gap, *group)][1:]
-        dashed = any(isinstance(handle, Line2D) and handle.is_dashed() for handle in handles)
-        length = _DASHED_LENGTH if dashed else rcParams["legend.handlelength"]
-        legend = figure.legend(handles=handles, loc="outside right upper", handlelength=length)
+        legend = figure.legend(handles=handles, loc="outside right upper")
         box = legend.get_window_extent(renderer)
         if box.width * (figure.bbox.height - box.height) <= _MOST_UNUSED * figure.bbox.width * figure.bbox.height:
             return sheet
@@ -278,11 +273,10 @@ def _draw_scale(figure: Figure, above: list[Axes], value: Any, label: str, aspec
         bar.set_ticks(MaxNLocator(intervals, steps=_ROUND_STEPS))
 
 
-def _write_margins(figure: Figure, sheet: Sheet, tallest: float) -> None:
+def _write_margins(figure: Figure, sheet: Sheet) -> None:
     """Write the title at the top, to the left of any legend, and the note at the bottom, below any legend.
 
-    A legend below, and each line after the first line of title or note, makes the figure higher, up to `tallest`
-    [inch].
+    A legend below, and each line after the first line of title or note, makes the figure higher, up to `TALLEST`.
     """
     renderer = FigureCanvasAgg(figure).get_renderer()
     boxes = [legend.get_window_extent(renderer) for legend in figure.legends]
@@ -307,9 +301,9 @@ def _write_margins(figure: Figure, sheet: Sheet, tallest: float) -> None:
     more = _LINE_HEIGHT / 72.0 * (title_size * title.count("\n") + note_size * note.count("\n"))
     height, legend = figure.get_figheight() + more, tall / figure.dpi + _PADDING * bool(boxes)
     if sheet.beside:
-        figure.set_figheight(min(max(height, legend + _FOOTER * bool(note) + more), tallest))
+        figure.set_figheight(min(max(height, legend + _FOOTER * bool(note) + more), TALLEST))
     else:
-        height = min(height + legend, tallest)
+        height = min(height + legend, TALLEST)
         figure.set_figheight(height)
         below = footer.get_window_extent(renderer).height / figure.dpi + _PADDING if footer else 0.0
         for each in figure.legends:

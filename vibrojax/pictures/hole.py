@@ -7,18 +7,16 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.errors import InputError
+from vibrojax.io.runs import Run, Samples, read_run
 from vibrojax.pictures.axes import margins
 from vibrojax.pictures.contents import Contents
 from vibrojax.pictures.motion import (
     FIGURE_WIDTH,
-    Run,
-    Samples,
     enlarged,
     force_plot,
     growth_text,
     hole_plot,
     printed_unit,
-    read_run,
     run_notes,
     span,
     time_axis,
@@ -63,7 +61,7 @@ def pulses(ds: xr.Dataset) -> Sheet:
                 plots.append(enlarged(plot, "" if row > top else "enlarged: the shaded end", place=(row, 1)))
             else:
                 layers = [span(late, end, 0.25), *plot.layers]
-                plots.append(replace(plot, layers=layers, keys="above left", key_columns=3, place=(row, 0)))
+                plots.append(replace(plot, layers=layers, keys="above left", place=(row, 0)))
     plots.sort(key=lambda plot: plot.place)
     about = run_notes(ds, plots, growth_text(hole))
     heights = (*[0.5] * top, 1.3, 1.0)[: top + len(rows)]

@@ -22,9 +22,6 @@ from vibrojax.pictures.plots import Axis, Plot, Sheet, legend_of
 
 MOST_PANELS = 12
 
-PAGE = (16.0, 20.0)
-"""Greatest width and height [inch] of a sweep's picture, margins included."""
-
 LEGEND_WIDTH = 1.9
 """The approximate width [inch] of a legend at the right."""
 
@@ -51,18 +48,13 @@ class Facets:
     def places(self, most: int) -> list[tuple[int, int]]:
         """Return the row and column of each facet, in at most `most` columns.
 
-        Rows end where the values of an axis end, or the values of the last axis are below each other; as few places as
-        possible stay empty.
+        Rows end where the values of an axis end; as few places as possible stay empty.
         """
-        count, last = len(self), self.counts[-1]
-        if count <= most:
-            return [(0, k) for k in range(count)]
+        count = len(self)
         runs = np.cumprod(self.counts[::-1]).tolist()  # facets after which the values of an axis repeat
         step = max((run for run in runs if run <= most), default=1)
-        choices = [(n, False) for n in range(2, most + 1) if n % step == 0]
-        choices += [(count // last, True)] if last > 1 and 1 < count // last <= most else []
-        wide, turned = min(choices, key=lambda c: (c[0] < 3, -count % c[0], not c[1], -c[0]), default=(most, False))
-        return [divmod(k, last)[::-1] if turned else divmod(k, wide) for k in range(count)]
+        wide = min(range(step, most + 1, step), key=lambda n: (n < min(count, most, 3), -count % n, -n))
+        return [divmod(k, wide) for k in range(count)]
 
 
 def facets(ds: xr.Dataset, along: Sequence[str], most: int = MOST_PANELS) -> Facets:
@@ -177,7 +169,7 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
     wide = (sheet.size[0] - LEGEND_WIDTH * bool(legend_of(sheet))) / sum(sheet.widths)
     least = width / sum(sheet.widths) * min(sheet.widths)
     if any(plot.span[2] > 1 for plot in sheet.plots) and least >= _LEAST_BESIDE:
-        wide, tall = width / sum(sheet.widths), _LEAST_SHARE * tall
+        wide, tall = width / sum(sheet.widths), (_LEAST_SHARE * sheet.size[1] - _MARGINS) / sum(sheet.heights)
         plots = [_narrowed(x, wide * _part(sheet.widths, x, 1), tall * _part(sheet.heights, x, 0)) for x in sheet.plots]
         return replace(sheet, plots=plots, size=(width, _LEAST_SHARE * sheet.size[1]), beside=False)
     rows: dict[tuple[bool, int], list[Plot]] = {}
@@ -221,23 +213,33 @@ def _part(sizes: Sequence[float], plot: Plot, which: int) -> float:
     return sum(sizes[first : first + count])
 
 
+def in_height(sheet: Sheet) -> Sheet:
+    """Return a sheet that is not higher than a page, with shorter labels if it has to be lower."""
+    if sheet.size[1] <= TALLEST:
+        return sheet
+    tall = (TALLEST - _MARGINS) / sum(sheet.heights)
+    plots = [replace(x, y=_shortened(x.y, tall * _part(sheet.heights, x, 0) - _BAR * x.is_map)) for x in sheet.plots]
+    return replace(sheet, plots=plots, size=(sheet.size[0], TALLEST))
+
+
+def _shortened(axis: Axis, length: float, across: bool = False) -> Axis:
+    """Return an axis whose label is broken, and whose ticks are fewer, in a length [inch]."""
+    letters, label = int(LETTERS * length), axis.label
+    if max(map(len, label.splitlines()), default=0) > letters:
+        label = broken(label, letters)
+    if label.count("\n") > 1:  # without the words before the symbol
+        label = broken(" ".join(axis.label.split()).rpartition(", ")[2], letters)
+    few = 3 if length < 1.4 else 4
+    intervals = min(axis.intervals or few, few) if length < 2.2 else axis.intervals
+    texts = [text for _, text in axis.ticks or ()]
+    crowded = sum(len(text) + 2 for text in texts) > 1.2 * LETTERS * length and max(map(len, texts)) > 4
+    return replace(axis, label=label, intervals=intervals, rotated=across and crowded)
+
+
 def _narrowed(plot: Plot, width: float, height: float) -> Plot:
     """Return a panel whose texts are broken, and whose ticks are fewer, in a width and height [inch]."""
-
-    def axis(of: Axis, length: float) -> Axis:
-        letters = int(LETTERS * length)
-        label = broken(of.label, letters)
-        if label.count("\n") > 1:  # without the words before the symbol
-            label = broken(" ".join(of.label.split()).rpartition(", ")[2], letters)
-        few = 3 if length < 1.4 else 4
-        intervals = min(of.intervals or few, few) if length < 2.2 else of.intervals
-        texts = [text for _, text in of.ticks or ()]
-        crowded = sum(len(text) + 2 for text in texts) > 1.2 * LETTERS * length and max(map(len, texts)) > 4
-        rotated = of.rotated or (of is plot.x and crowded)
-        return replace(of, label=label, intervals=intervals, rotated=rotated)
-
     # A legend of the plot's own would be as wide as the plot.
     keys = "" if width < _KEYS_PANEL else plot.keys
     title = broken_title(plot.title, max(int(LETTERS * (width - 0.2)), 10))
     inside = (min(height, _MAP_ASPECT * width) if plot.has_cells else height) - _BAR * (plot.scale is not None)
-    return replace(plot, title=title, x=axis(plot.x, width - 0.3), y=axis(plot.y, inside), keys=keys)
+    return replace(plot, title=title, x=_shortened(plot.x, width - 0.3, True), y=_shortened(plot.y, inside), keys=keys)

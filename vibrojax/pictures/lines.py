@@ -17,10 +17,8 @@ from vibrojax.errors import InputError, counted
 from vibrojax.pictures import axes, colours, contents
 from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import FORM, POINT, RATE, REGIME, RELIEF, SENSITIVE, START, is_numeric, lane_dims
-from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, PAGE, STACK_MARGINS, at, facets
+from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets
 from vibrojax.pictures.plots import (
-    FAINT,
-    INK,
     Area,
     Axis,
     Cells,
@@ -45,11 +43,10 @@ _STACK_WIDTHS = {1: 7.6, 2: 10.0, 3: 12.5}  # of the sheet [inch], by the number
 _TITLE_ROOM = 0.6  # height [inches] of the title and the labels of a stack
 _SHARES_HEIGHT = 1.1  # inches
 _DISTINCT_HEIGHTS = 1000  # number of heights on a panel that the eye can distinguish
-_MARGINS = 2.6  # page height [inches] for title, notes and the figure's margins
+_MOST_STACKS = 9
 _SLIP, _PEAK = "slip_per_impact", "peak_impact_force"
 _MANY_LANES = 40  # number of lanes per line from which on markers are small
 _CONSTANT = 1e-6  # largest relative range of values that count as constant
-_BEYOND = 1.05  # greatest value on an axis, in units of the greatest value in the data
 _MEAN: Look = {"face": "white", "edge_width": 0.9, "order": 2.5}  # of a motion that does not repeat
 _MARKS: dict[str, tuple[str, Look]] = {
     "single": ("single impact", {"marker": "o"}),
@@ -111,8 +108,7 @@ def stacks(
     height = heights[any(ds.sizes[name] > 1 for name in lane_dims(ds) if name not in (x, START))]
     stack_height = curves * height + strip + _TITLE_ROOM
     columns = len(_STACK_WIDTHS)
-    on_page = columns * int((PAGE[1] - _MARGINS) / stack_height)
-    panels = facets(ds, (x, START), min(on_page, MOST_PANELS))
+    panels = facets(ds, (x, START), _MOST_STACKS)
     places = panels.places(columns)
     plots: list[Plot] = []
     for (row, column), (title, facet) in zip(places, panels, strict=True):
@@ -166,7 +162,7 @@ def _strip(facet: xr.Dataset, x: str) -> Plot:
     if SENSITIVE in facet:
         row, column = np.nonzero(by_start[SENSITIVE].transpose(START, x).values == 1)
         layers += [replace(colours.SENSITIVE_KEY, x=along[column], y=row)] if row.size else []
-    ticks = [(float(k), start.name) for k, start in enumerate(starts_of(facet))]
+    ticks = [(float(k), start.name) for k, start in enumerate(starts_of(facet)) if start.name]
     return Plot(layers, y=Axis(ticks=ticks, limits=(-0.5, len(rows) - 0.5), reversed=True), name="regimes")
 
 
@@ -181,9 +177,7 @@ def value_plots(facet: xr.Dataset, values: Sequence[Value], x: str) -> list[Plot
             layers: list[Layer] = [lane_dots(along, heights.values.ravel(), cells, dot_size(facet.sizes[x]))]
         else:
             layers = value_lines(starts_of(facet), value, lambda lanes: axes.values_along(lanes[x]))
-        plots.append(
-            Plot(layers, y=colours.value_axis(value, value.label.replace(" [", "\n["), zero="zero everywhere"))
-        )
+        plots.append(Plot(layers, y=colours.value_axis(value, value.label.replace(" [", "\n["))))
     return plots
 
 
@@ -193,7 +187,7 @@ def motion_keys(ds: xr.Dataset, values: Sequence[Value]) -> list[Key]:
     if not values:
         return keys
     if any({f"{value.name}_min", f"{value.name}_max"} <= set(ds) for value in values):
-        keys.append(Area(colour=FAINT, alpha=0.4, label="range of the blows"))
+        keys.append(Area(alpha=0.4, label="range of the blows"))
     if "cycles" in ds and bool((ds["cycles"] == 0).any()):
         keys.append(dots(label="mean: does not repeat", **_MEAN))
     return keys
@@ -372,27 +366,24 @@ def rates(ds: xr.Dataset) -> Sheet:
     dash = x.dash(ds)
     named = bool(by) and not is_numeric(ds[by]) and bool(dash)  # starts or rocks, whose lines may coincide
 
-    def from_zero(name: str, label: str, factor: float = 1.0, zero: str = "") -> Axis:
+    def from_zero(name: str, unit: str = "") -> Axis:
         """Return an axis from zero, to show whether lines pass through it."""
-        top = _BEYOND * factor * float(ds[name].max(skipna=True).fillna(0.0)) or 1.0
-        return Axis(label, name, (-0.03 * top, top), group=name, zero=zero)
+        return Axis(axes.with_unit(colours.words_for(name), unit), name, (0.0, None), group=name)
 
     def draw(lines: list[Series], name: str, over_relief: bool) -> Plot:
         factor, unit = axes.scale(ds[name])
-        up = from_zero(name, axes.with_unit(colours.words_for(name), unit), factor, "no penetration")
         layers: list[Layer] = []
         for k, line in enumerate(lines):
             places = np.atleast_1d(line.lanes[RELIEF].values) if over_relief else x.of(line.lanes)
-            look = nested_line(k, len(lines)) if named else {"dash": dash}
+            nested = named or (name != RATE and bool(dash))  # blows of several lines may be the same
+            look = nested_line(k, len(lines)) if nested else {"dash": dash}
             layers += _rate_layers(line, places, factor * np.atleast_1d(line.lanes[name].values), look)
-        return Plot(layers, from_zero(RELIEF, colours.words_for(RELIEF)) if over_relief else x.axis(ds), up)
+        return Plot(layers, from_zero(RELIEF) if over_relief else x.axis(ds), from_zero(name, unit))
 
     def varies(name: str) -> bool:
         """Return whether a variable varies along any of the lines."""
-        dimension = x.name if x.name in ds[name].dims else POINT
-        if dimension not in ds[name].dims:
-            return False
-        swing = ds[name].max(dimension) - ds[name].min(dimension)
+        along = [dim for dim in ds[name].dims if dim in (x.name, POINT)]
+        swing = ds[name].max(along) - ds[name].min(along)
         return bool((swing > _CONSTANT * np.abs(ds[name]).max()).any())
 
     each_blow = [name for name in (_PEAK, _SLIP) if name in ds]
@@ -402,7 +393,7 @@ def rates(ds: xr.Dataset) -> Sheet:
     if named:
         lines = [replace(each, **nested_line(k, len(lines))) for k, each in enumerate(lines)]
     motions = [name for name, mask in _motions(ds).items() if mask.any() and (name == "none" or REGIME in ds)]
-    marks = [dots(label=_MARKS[name][0], colour=INK, **{"size": 4.5} | _MARKS[name][1]) for name in motions]
+    marks = [dots(label=_MARKS[name][0], **{"size": 4.5} | _MARKS[name][1]) for name in motions]
     count = int(np.isnan(ds[RATE].values).sum())
     missing = f"{count} of {counted(ds[RATE].size, 'lane')} without a rate" if count else ""
     draws = [partial(draw, name=name, over_relief=over_relief) for name, over_relief in drawn]

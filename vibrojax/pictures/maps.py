@@ -2,22 +2,36 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from math import prod
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from contourpy import contour_generator
+from jaxtyping import Bool
 
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import kind_of
-from vibrojax.lazy import colors, ticker
 from vibrojax.pictures import axes, colours, contents
 from vibrojax.pictures.colours import Value
-from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, RELIEF, SENSITIVE, START, lane_dims, varied
+from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, SENSITIVE, START, lane_dims, varied
 from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, Facets, at, facets, is_narrow
 from vibrojax.pictures.overlays import check_borders, codim2_layers, over_map_text, over_panel
-from vibrojax.pictures.plots import Axis, Bars, Cells, Layer, Line, Look, Plot, Points, Sheet, Text, colours_of, dots
-from vibrojax.pictures.style import INK, NO_VALUE, NOTHING
+from vibrojax.pictures.plots import (
+    Axis,
+    Bars,
+    Cells,
+    Layer,
+    Line,
+    Look,
+    Plot,
+    Points,
+    Sheet,
+    Text,
+    colours_of,
+    dots,
+    one_colour,
+)
+from vibrojax.pictures.style import DASHED, NO_VALUE, NOTHING
 
 Values = Sequence[Value]
 
@@ -26,14 +40,10 @@ _MOST_COLUMNS = 6
 _NARROW_COLUMNS = 2  # of a narrow picture, in which many facets show one quantity
 _SQUARE_FROM, _SQUARE_COLUMNS = 4, (2, 3)  # number of quantities from which a single facet has several rows
 _MOST_RATES = {1: 4, 2: 3, 3: 3}  # quantities on maps of rates, by the number of facets; else only the rate
-_MOST_RATE_FACETS = 9
 _MANY_VALUES = 4  # number of quantities from which on half as many facets are drawn
-_RELIEF_LEVELS = 5  # approximate number of contour lines of the relief
-_CONSTANT_RELIEF = 1e-9  # largest relative range of a relief that counts as constant
 _LETTERS_PER_INCH = 17  # number of characters that fit on an axis label per inch of the axis
 _DOT, _MANY_DOTS = 4.5, 600  # diameter of a dot [pt], and number of points from which on dots are smaller
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
-_LABEL_ROOM = np.array([0.11, 0.06])  # width and height around the label of a contour line, as fractions of the panel
 _MOST_BAR_COLUMNS = 4
 
 # The region of parameters with "best" stable single impacts (source, chapter 5).
@@ -75,7 +85,7 @@ def maps_of(
             words = ", ".join(filter(None, (title * (blocks or not place[1]), value.label * value.counted)))
             words = axes.broken_title(words, int(13 * width))
             layers, scale = [*layers_of(facet, value), *region(x, y)], None if value.counted else value
-            plots.append(Plot(layers, right, up, words, place, at(facet), grid="both" * points, scale=scale))
+            plots.append(Plot(layers, right, up, words, place, at(facet), scale=scale))
     bars = sum(not value.counted for value in values) if blocks or wide < many else 1
     size = width * wide + LEGEND_WIDTH + 0.3, height * deep + 0.6 * bars + 0.6
     return Sheet(sorted(plots, key=lambda plot: plot.place), size)
@@ -94,7 +104,7 @@ def region(x: xr.DataArray, y: xr.DataArray) -> list[Line]:
     cut = [(a != b)[:-1] & (a != b)[1:] & (np.diff(a) == 0) for a, b in ((xs, across), (ys, up))]
     gaps = 1 + np.flatnonzero(cut[0] | cut[1])
     path = np.insert(across, gaps, np.nan), np.insert(up, gaps, np.nan)
-    return [Line(*path, width=1.3, halo=0.85, label="source's best region", order=3.0)]
+    return [Line(*path, width=1.3, dash=DASHED, halo=0.6, label="source's best region", order=3.0)]
 
 
 def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over: Sequence[xr.Dataset] = ()) -> Sheet:
@@ -104,9 +114,9 @@ def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over:
     points, lines = POINT in lane_dims(ds), False
     ds = ds if points else ds.sortby([x, y])
     panels = split_starts(ds) if points else facets(ds, (x, y), MOST_PANELS // (1 + (len(values) >= _MANY_VALUES)))
-    if len(panels) > _MOST_BESIDE and is_narrow() and values[1:]:
+    if len(panels) > (_MOST_BESIDE if is_narrow() else _MOST_COLUMNS) and values[1:]:
         names = ", ".join(value.name for value in values[1:])
-        values, notes = values[:1], (*notes, f"Room for one variable in this width; not shown: {names}")
+        values, notes = values[:1], (*notes, f"Room for one variable; not shown: {names}")
 
     def layers_of(facet: xr.Dataset, value: Value) -> list[Layer]:
         nonlocal lines
@@ -143,8 +153,7 @@ def regime_grid(ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Sheet:
 def rate_grid(ds: xr.Dataset) -> Sheet:
     """Draw the rate of penetration over two axes, and the quantities that vary.
 
-    Each value of further axes gets a panel, nine at most; the figure notes which are shown. Constant values are in the
-    note.
+    Each value of further axes gets a panel, twelve at most; the figure notes which are shown, and constant values.
     """
     ds = contents.rates_in(ds)
     values = colours.values_of_rock(ds)
@@ -155,22 +164,13 @@ def rate_grid(ds: xr.Dataset) -> Sheet:
         regimes = [colours.regime_value(ds[REGIME])] if REGIME in ds else []
         return map_sheet(ds, *names, [*regimes, *values[: _MOST_RATES[3]]])
     x, y = contents.axes_of_map(ds, *contents.long_axes(ds))
-    ds = ds.sortby([x, y])
-    panels = facets(ds, (x, y), _MOST_RATE_FACETS)
-    shown = values[: _MOST_RATES.get(len(panels), 1)]
-
-    def layers_of(facet: xr.Dataset, value: Value) -> list[Layer]:
-        return cell_layers(facet, value, x, y) + (_relief_lines(facet, x, y) if value is shown[0] else [])
-
+    panels = prod(ds.sizes[name] for name in lane_dims(ds) if name not in (x, y))
     # The values that all lanes share are in the note; the relief is proportional to a mean force that is drawn.
     given = {value.name for value in values}
     given |= {"relief"} if "mean_force" in given else set()
     fixed = [ds[name].assign_attrs(symbol=text) for name, text in _SYMBOLS.items() if name in ds and name not in given]
     texts = [axes.value_text(data, float(data.max())) for data in fixed if data.notnull().any()]
-    about = axes.margins(ds, panels.note, point=", ".join(filter(None, (axes.point_text(ds), *texts))))
-    return replace(
-        maps_of(panels, shown, ds[x], ds[y], layers_of), keys=[colours.cell_keys(panels.data, shown)], **about
-    )
+    return map_sheet(ds, x, y, values[: _MOST_RATES.get(panels, 1)], ", ".join(texts))
 
 
 # Cells of a grid.
@@ -187,18 +187,20 @@ def cell_layers(facet: xr.Dataset, value: Value, x: str, y: str) -> list[Layer]:
     if not value.of_rate:
         return layers
     if (cells == 0).any():
-        white = colors.ListedColormap([NOTHING, "#FFFFFF00"], name="nothing")
-        layers.append(Cells(right, top, np.where(cells == 0, 0.0, 1.0), white, colors.Normalize(0.0, 1.0), order=0.5))
+        layers.append(one_colour(right, top, cells == 0, NOTHING, order=0.5))
     if REGIME in facet:
         single = facet[REGIME].transpose(y, x).values == colours.SINGLE
-        across, along = np.argwhere(single[:, 1:] != single[:, :-1]), np.argwhere(single[1:] != single[:-1])
-        lines = [(right[j + 1], right[j + 1], np.nan, top[i], top[i + 1], np.nan) for i, j in across]
-        lines += [(right[j], right[j + 1], np.nan, top[i + 1], top[i + 1], np.nan) for i, j in along]
-        if lines:
-            table = np.array(lines)
-            path = table[:, :3].ravel(), table[:, 3:].ravel()
-            layers.append(Line(*path, width=1.0, halo=0.6, label="border of single impact"))
+        layers += outline(single, right, top, width=1.0, label="border of single impact")
     return layers
+
+
+def outline(mask: Bool[np.ndarray, "y x"], right: np.ndarray, top: np.ndarray, **look: Any) -> list[Layer]:
+    """Return the line between cells inside and outside of a mask, whose edges are `right` and `top`."""
+    across, along = np.argwhere(mask[:, 1:] != mask[:, :-1]), np.argwhere(mask[1:] != mask[:-1])
+    lines = [(right[j + 1], right[j + 1], np.nan, top[i], top[i + 1], np.nan) for i, j in across]
+    lines += [(right[j], right[j + 1], np.nan, top[i + 1], top[i + 1], np.nan) for i, j in along]
+    table = np.array(lines).reshape(-1, 6)
+    return [Line(table[:, :3].ravel(), table[:, 3:].ravel(), halo=0.6, **look)] if lines else []
 
 
 def _marks(facet: xr.Dataset, x: str, y: str) -> list[Layer]:
@@ -211,60 +213,6 @@ def _marks(facet: xr.Dataset, x: str, y: str) -> list[Layer]:
         if len(rows):
             layers.append(replace(mark, x=axes.values_along(facet[x])[columns], y=axes.values_along(facet[y])[rows]))
     return layers
-
-
-def contours(
-    x: np.ndarray,
-    y: np.ndarray,
-    z: np.ndarray,
-    levels: Sequence[float],
-    taken: list[np.ndarray],
-    labelled: bool = False,
-    **look: Any,
-) -> list[Layer]:
-    """Return contour lines with their values, as far as labels do not lie over those at the places `taken`.
-
-    `taken` has places as fractions of the panel, and is extended. `labelled`: leave out lines that have no label.
-    """
-    generator = contour_generator(x, y, np.ma.masked_invalid(z))
-    low, size = np.array([x.min(), y.min()]), np.array([np.ptp(x), np.ptp(y)])
-    look = {"width": 0.7, "colour": INK, **look}
-    layers: list[Layer] = []
-    for value in levels:
-        lines: Any = generator.lines(float(value))
-        paths: list[np.ndarray] = [path for path in lines if len(path) > 1]
-        if not paths:
-            continue
-        # The label is where the most room is left, best in the middle of the longest line.
-        longest = max(paths, key=len)
-        places = (longest - low) / size
-        room = np.full(len(longest), 4.0) - np.abs(np.linspace(-1.0, 1.0, len(longest)))
-        for other in taken:
-            room = np.minimum(room, np.max(np.abs(places - other) / _LABEL_ROOM, axis=1))
-        room[((places < _LABEL_ROOM) | (places > 1 - _LABEL_ROOM / 2)).any(axis=1)] = 0.0
-        best = int(np.argmax(room))
-        has_room = bool(room[best] > 1.0)
-        if has_room or not labelled:
-            layers.append(Line(*np.concatenate([np.append(path, [[np.nan] * 2], axis=0) for path in paths]).T, **look))
-        if has_room:
-            taken.append(places[best])
-            across, up = longest[best].tolist()
-            layers.append(Text(across, up, f"{value:g}", colour=look["colour"], size=7.5, halo=1.0))
-    return layers
-
-
-def _relief_lines(facet: xr.Dataset, x: str, y: str) -> list[Layer]:
-    """Return contour lines of the relief P/D with their values."""
-    if RELIEF not in facet:
-        return []
-    relief = facet[RELIEF].transpose(y, x).values
-    constant = _CONSTANT_RELIEF * relief.max()
-    if not np.isfinite(relief).all() or not all((np.ptp(relief, axis=i) > constant).any() for i in (0, 1)):
-        return []  # lines would be straight if the relief does not depend on one of the axes
-    levels = ticker.MaxNLocator(_RELIEF_LEVELS).tick_values(relief.min(), relief.max())
-    levels = levels[(levels > relief.min()) & (levels < relief.max())]
-    along = axes.values_along(facet[x]), axes.values_along(facet[y])
-    return contours(*along, relief, levels.tolist(), [], halo=0.65, label="equal relief P/D")
 
 
 # Dots of a list of points.
@@ -330,6 +278,6 @@ def regime_bars(ds: xr.Dataset) -> Sheet:
             if n
         ]
         bars = Bars(np.zeros(len(lanes)), places - 0.4, np.array(lanes), np.full(len(lanes), 0.8), shown, "#595959")
-        plots.append(Plot([bars, *texts], across, up, title, divmod(k, wide), grid=""))
+        plots.append(Plot([bars, *texts], across, up, title, divmod(k, wide)))
     size = 1.6 + 3.0 * wide, 0.6 + deep * (0.6 + 0.32 * max(len(occurring), 2))
     return Sheet(plots, size, **axes.margins(ds, axes.certified_text(ds)))

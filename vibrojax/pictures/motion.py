@@ -3,16 +3,15 @@
 Oscillations that are too dense for a line are drawn as bands.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
 
 from vibrojax.errors import InputError
-from vibrojax.io.attributes import flags, parameters_of
+from vibrojax.io.runs import Run, Samples, read_run
 from vibrojax.pictures.axes import axis, margins, number, scale
 from vibrojax.pictures.colours import value_axis, value_of
 from vibrojax.pictures.contents import TIME, Contents
@@ -24,7 +23,6 @@ _PANEL_SHARE = 0.775  # of the width of the figure
 _COLUMNS = 6  # of the grid that the panels of a row share
 _CYCLE_PIXELS = 5.0  # least width of a cycle that a line resolves
 _COLUMN_PIXELS = 8  # a band takes minimum and maximum over this width: more than an unresolved cycle
-_FEWEST_SAMPLES = 16
 _WINDOW = 1.5  # duration of the end of the run that is shown [s]
 _OVERVIEW_FROM = 1.5  # ratio of the run's length to the window from which there is an overview
 _MOST_PEAKS, _LEAST_PEAK = 3, 0.1  # number of peaks, and least height relative to the highest
@@ -45,119 +43,6 @@ _FORCES = {  # colour, line width, legend text
     "impact_force": (IMPACT, 1.0, "impact force J"),
     "friction_force": (INK, 0.8, "friction force F"),
 }
-
-Samples = Float[np.ndarray, " samples"]
-
-
-@dataclass(frozen=True)
-class Run:
-    """Time series of a run in SI units.
-
-    - `series`: the variables along time by name.
-    - `impacts`: times [s] at which impacts begin.
-    - `parameters`: the parameters of the scene by name.
-    """
-
-    time: Samples
-    series: Mapping[str, Samples]
-    impacts: Float[np.ndarray, " times"]
-    parameters: Mapping[str, float]
-
-    def __getitem__(self, name: str) -> Samples:
-        return self.series[name]
-
-    def between(self, start: float, end: float) -> "Run":
-        """Return the run from `start` to `end` [s], with one more sample at both ends."""
-        part = slice(max(int(np.searchsorted(self.time, start)) - 1, 0), int(np.searchsorted(self.time, end)) + 1)
-        impacts = self.impacts[(self.impacts >= start) & (self.impacts < end)]
-        return Run(self.time[part], {name: x[part] for name, x in self.series.items()}, impacts, self.parameters)
-
-
-def read_run(ds: xr.Dataset, *states: str) -> Run:
-    """Return the time series where all `states` are finite, with the values before and after each event.
-
-    Added are the bit's sliding speed `u`, relative to the drive if the dataset lacks the drive's speed `v`; `stuck`;
-    and the speed `v3` of the bit on rock.
-
-    **Raises:** `InputError` if a state is missing or samples are too few.
-    """
-    missing = [name for name in states if name not in ds]
-    if missing or TIME not in ds.dims:
-        raise InputError(f"no trajectory to draw: the dataset lacks {', '.join(missing) or 'dimension time'}")
-    ds = ds.isel({TIME: np.flatnonzero(np.isfinite(sum(ds[name].values for name in states)))})
-    if ds.sizes[TIME] < _FEWEST_SAMPLES:
-        reason = f"{ds.sizes[TIME]} finite samples, {_FEWEST_SAMPLES} or more are needed"
-        raise InputError(f"no trajectory to draw: {reason}")
-    along = {str(name): data for name, data in ds.data_vars.items() if data.dims == (TIME,)}
-    time, parameters = np.asarray(ds[TIME].values, float), parameters_of(ds)
-    along["stuck"] = (along["stuck"] == 1 if "stuck" in along else xr.zeros_like(ds[TIME])).astype(float)
-    if "x3" in along and "v3" not in along:
-        along["v3"] = along["x3"].copy(data=np.gradient(along["x3"].values, time))
-    time, data = with_events(ds.assign(along))
-    series = {name: np.asarray(x.values, float) for name, x in data.items()}
-    series["stuck"] = np.round(series["stuck"])
-    if "v1" in series:
-        series["u"] = series["v1"] + parameters.get("v", 0.0)
-    impacts = np.empty(0)  # from recorded events, else where the force rises from zero
-    if "event_time" in ds and "event_kind" in ds:
-        impacts = np.asarray(ds["event_time"].values, float)[_are(ds, "impact")]
-    elif (force := series.get("impact_force")) is not None:
-        impacts = time[1:][(force[1:] > 0) & (force[:-1] <= 0)]
-    return Run(time, series, impacts, parameters)
-
-
-def with_events(motion: xr.Dataset) -> tuple[Samples, dict[str, xr.DataArray]]:
-    """Return the times of a trajectory and its variables along them, with two more samples at each event.
-
-    These are the values before and after the event, each extrapolated from up to three samples on its side. At a
-    section crossing, they are interpolated from up to two samples on each side. If events lie between the same two
-    samples, the values are those before the first and after the last of them.
-    """
-    time, data = motion[TIME].values, {str(n): x for n, x in motion.data_vars.items() if x.dims == (TIME,)}
-    data = {name: x for name, x in data.items() if x.dtype.kind == "f"}
-    moments = motion["event_time"].values if "event_time" in motion else np.zeros(0)
-    jumps = moments[~_are(motion, "section")]
-    moments = np.unique(moments[(moments > time[0]) & (moments <= time[-1])])
-    after, first = np.unique(np.searchsorted(time, moments), return_index=True)
-    if not len(after) or not data:
-        return time, data
-    last = np.append(first[1:], len(moments)) - 1
-    values = np.stack([x.values for x in data.values()])
-    bounds = np.unique([0, *np.searchsorted(time, jumps), len(time)])
-    low, high = bounds[np.searchsorted(bounds, after) - 1], bounds[np.searchsorted(bounds, after, side="right")]
-    parts = [
-        (slice(max(low[k], n - 3), n), slice(n, min(high[k], n + 3)))
-        if n in bounds
-        else 2 * (slice(max(low[k], n - 2), min(high[k], n + 2)),)
-        for k, n in enumerate(after)
-    ]
-    sides = [
-        _extrapolated(time[part], values[:, part], moments[event])
-        for k, both in enumerate(parts)
-        for part, event in zip(both, (first[k], last[k]), strict=True)
-    ]
-    places = np.repeat(after, 2)
-    whole = np.insert(values, places, np.stack(sides, axis=1), axis=1)
-    times = np.insert(time, places, moments[np.stack([first, last], axis=1).ravel()])
-    return times, {n: xr.DataArray(x, dims=TIME, attrs=data[n].attrs) for n, x in zip(data, whole, strict=True)}
-
-
-def _are(motion: xr.Dataset, kind: str) -> Bool[np.ndarray, " events"]:
-    """Return which events of a trajectory are of a kind."""
-    if "event_kind" not in motion:
-        return np.zeros(motion["event_time"].shape if "event_time" in motion else 0, bool)
-    wanted = [flag for flag, meaning in flags(motion["event_kind"]).items() if meaning == kind]
-    return np.asarray(np.isin(motion["event_kind"].values, wanted))
-
-
-def _extrapolated(times: Samples, values: np.ndarray, at: float) -> np.ndarray:
-    """Return the polynomial through values (states, samples) at a time."""
-    away = times[:, None] - times + np.eye(len(times))
-    weights = np.prod(np.where(np.eye(len(times)) == 1, 1.0, (at - times) / away), axis=1)
-    return values @ weights
-
-
-# Layers and panels.
 
 
 def trace(time: Samples, values: Samples, share: float = 1.0, **look: Any) -> Line | Area:
@@ -211,10 +96,10 @@ def span(start: float, end: float, alpha: float, label: str = "") -> Area:
     return Area([start, end], [-np.inf] * 2, [np.inf] * 2, FAINT, alpha, label=label)
 
 
-def enlarged(plot: Plot, remark: str, **about: Any) -> Plot:
+def enlarged(plot: Plot, title: str, **about: Any) -> Plot:
     """Return a plot beside one of the same lines, which the legend of that one names."""
     layers = [replace(layer, label="") if isinstance(layer, Line | Area) else layer for layer in plot.layers]
-    return replace(plot, layers=layers, remark=remark, **about)
+    return replace(plot, layers=layers, title=title, **about)
 
 
 def printed_unit(unit: str, *values: Samples) -> tuple[float, str]:
@@ -259,7 +144,8 @@ def _portrait(motion: Run, start: float, x: str, speed: str, label: str) -> Plot
     if x == "x1":
         layers.append(Line(1e3 * late[x], np.where(late["stuck"] == 1, late[speed], np.nan), STICK, 2.8, order=3.0))
     layers.append(dots(*(np.interp(late.impacts, late.time, part) for part in (1e3 * late[x], late[speed])), **_DOTS))
-    return Plot(layers, Axis(f"{symbol} [mm]"), Axis(label), name, title_colour=colour, grid="")
+    title = name + ", earlier in grey" * bool(start > motion.time[0])
+    return Plot(layers, Axis(f"{symbol} [mm]"), Axis(label), title)
 
 
 def _spectrum(motion: Run) -> Plot:
@@ -284,7 +170,7 @@ def _spectrum(motion: Run) -> Plot:
     for frequency, amplitude in sorted(named, key=lambda peak: -peak[1]):
         if frequency < end and all(abs(frequency - text.x) > lobe for text in texts):
             texts.append(Text(frequency, amplitude, f"{number(round(frequency, 2))} Hz", "left", "bottom", **look))
-    up = Axis("amplitude [mm]", limits=(0.0, 1.12 * top))  # room for the text at the highest peak
+    up = Axis("amplitude [mm]", limits=(0.0, 1.25 * top))  # room for the text at the highest peak
     title = "spectrum, second half of the run"
     return Plot([*layers, *texts], Axis("frequency [Hz]", limits=(0.0, end)), up, title, keys="upper right")
 
@@ -363,35 +249,36 @@ def trajectory(ds: xr.Dataset) -> Sheet:
     rows: list[tuple[float, list[Plot]]] = []  # with their heights
     if end - begin > _OVERVIEW_FROM * _WINDOW:
         both = [trace(motion.time, 1e3 * motion[x], colour=c, width=0.4) for x, c in (("x1", BIT), ("x2", STRIKER))]
-        whole = Plot([*both, span(start, end, 0.3)], time_axis(begin, end, ""), Axis("whole run\n[mm]"), grid="")
-        rows.append((0.65, [whole]))
+        whole = [*both, span(start, end, 0.3)]
+        rows.append(
+            (0.65, [Plot(whole, time_axis(begin, end, ""), Axis("[mm]"), "whole run; its shaded end is below")])
+        )
     labels = "bit", "striker", "bit sticks", "impact begins"
     displacements = _both(late, 1e3 * late["x1"], 1e3 * late["x2"], labels)
     if (gap := _gap(motion)) is not None:
         text = f"gap Δ = {number(gap)} mm"
         displacements.append(level(gap, colour=FAINT, width=0.8, dash=DASHED, label=text, order=1.5))
-    rows.append((1.25, [Plot(displacements, across, Axis("displacement\n[mm]"), keys="above", key_columns=5)]))
+    rows.append((1.25, [Plot(displacements, across, Axis("displacement\n[mm]"), keys="above")]))
     speeds = [level(0.0, colour=FAINT, width=0.7), *_both(late, late["u"], late["v2"])]
     rows.append((1.25, [Plot(speeds, across, Axis(f"{'u' if driven else 'x₁′'} and x₂′\n[m/s]"))]))
     if forces := [name for name in ("impact_force", "friction_force") if name in motion.series]:
-        rows.append((0.9, [replace(force_plot(late, forces, across), keys="above right", key_columns=2)]))
+        rows.append((0.9, [replace(force_plot(late, forces, across), keys="above right")]))
     if hole:
-        depths = replace(hole_plot(hole, start, end, "hole"), keys="above left", key_columns=2)
+        depths = replace(hole_plot(hole, start, end, "hole"), keys="above left")
         row = [depths]
         if near := _last_impact(hole, motion.between(start, end).impacts):
             near_plot = enlarged(hole_plot(hole, *near, "impact"), "enlarged: the shaded impact")
             near_plot = replace(near_plot, x=replace(near_plot.x, intervals=4))
             row = [replace(depths, layers=[span(*near, 0.4), *depths.layers]), near_plot]
         rows.append((1.3, row))
-    speed = "sliding speed u = x₁′ + v [m/s]" if driven else "velocity x₁′ [m/s]"
-    of_bit = _portrait(motion, start, "x1", "u", speed)
+    of_bit = _portrait(motion, start, "x1", "u", "sliding speed u [m/s]" if driven else "velocity x₁′ [m/s]")
     of_striker = _portrait(motion, start, "x2", "v2", "velocity x₂′ [m/s]")
     rows.append((2.7, [of_bit, of_striker, _spectrum(motion)]))
     heights, plots = [height for height, _ in rows], []
     for k, (_, row) in enumerate(rows):
         wide = _COLUMNS // len(row)
         plots += [replace(plot, place=(k, i * wide, 1, wide)) for i, plot in enumerate(row)]
-    about = run_notes(ds, plots, growth_text(hole) if hole else "")
+    about = run_notes(ds, plots, "u = x₁′ + v" * driven, growth_text(hole) if hole else "")
     return Sheet(plots, (FIGURE_WIDTH, sum(heights) + 0.33 * len(heights) + 1.2), heights=heights, **about)
 
 
@@ -432,14 +319,14 @@ def states_over_time(ds: xr.Dataset) -> Sheet:
         if not row and late.impacts.size:
             look = {**_DOTS, "size": 3.0, "label": "impacts"}
             layers.append(dots(late.impacts, np.interp(late.impacts, late.time, late[name]), **look))
-        plots.append(Plot(layers, time_axis(start, end), axis(ds[name]), place=(row, 0, 1, 2), grid=""))
+        plots.append(Plot(layers, time_axis(start, end), axis(ds[name]), place=(row, 0, 1, 2)))
     if portrait := len(names) > 1:
         lines = [
             Line(motion[names[0]], motion[names[1]], FAINT, 0.5, label="whole motion" if start > 0 else ""),
             Line(late[names[0]], late[names[1]], BIT, 1.0, label=part),
         ]
         across, up = (axis(ds[name]) for name in names[:2])
-        plots.append(Plot(lines, across, up, place=(0, 2, len(names), 1), grid=""))
+        plots.append(Plot(lines, across, up, place=(0, 2, len(names), 1)))
     notes = run_notes(ds, plots, f"Drawn: {part}" * (not portrait))
     return Sheet(plots, (FIGURE_WIDTH, max(1.5 * len(names) + 1.0, 3.6)), beside=False, **notes)
 

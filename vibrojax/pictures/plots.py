@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from vibrojax.lazy import colors
 
@@ -128,6 +128,12 @@ class Text:
     order: float = 4.0
 
 
+def one_colour(x: Places, y: Places, mask: Bool[np.ndarray, "y x"], colour: str, **look: Any) -> Cells:
+    """Return the cells in a mask in one colour, over others."""
+    shown = colors.ListedColormap([colour], name="one")
+    return Cells(x, y, np.where(mask, 0.0, np.nan), shown, colors.Normalize(0.0, 1.0), hatched=False, **look)
+
+
 Key = Line | Area
 """An entry of a legend."""
 
@@ -174,7 +180,6 @@ class Axis:
     - `limits`: ends of the axis; None stands for the end of the data, with some room.
     - `ticks`: values with their texts; None for automatic ticks, of at most `intervals`.
     - `group`: axes of the same group have the same limits, and only the outer panels have labels.
-    - `zero`: text on panels whose values are all zero.
     """
 
     label: str = ""
@@ -185,7 +190,6 @@ class Axis:
     ticks: Sequence[tuple[float, str]] | None = None
     intervals: int = 0
     group: str = ""
-    zero: str = ""
     rotated: bool = False
 
 
@@ -195,8 +199,9 @@ class Plot:
 
     - `place`: row and column on the sheet, and the number of rows and of columns, if more than one.
     - `at`: values of the axes of a map that the plot shows.
-    - `name`: words for a plot without a title; `remark`: small text at the right above the plot.
-    - `keys`: place of the legend of its labels; "" if they belong to the legend of the sheet.
+    - `name`: words for a plot without a title.
+    - `keys`: place of the legend of its labels, in one row if it is above the plot; "" if they belong to the legend of
+      the sheet.
     - `scale`: quantity whose colour bar is below the plot; plots of the same quantity share one bar.
     """
 
@@ -207,12 +212,8 @@ class Plot:
     place: tuple[int, ...] = (0, 0)
     at: Mapping[str, Any] = field(default_factory=dict)
     name: str = ""
-    remark: str = ""
-    grid: str = "both"
     square: bool = False
     keys: str = ""
-    key_columns: int = 1
-    title_colour: str = ""
     scale: Any = None
 
     @property
@@ -268,11 +269,6 @@ def as_sheet(plots: Picture) -> Sheet:
     return Sheet(placed, (3.6 * wide + 1.6, 3.0 * -(-len(plots) // max(wide, 1)) + 0.6))
 
 
-def plots_of(sheet: Sheet) -> list[Plot]:
-    """Return the plots of a sheet with the limits of their axes."""
-    return resolved(sheet.plots)
-
-
 def legend_of(sheet: Sheet) -> list[list[Key]]:
     """Return the groups of legend entries: the keys of the sheet, and those of layers with labels, each text once.
 
@@ -304,7 +300,7 @@ def labelled_layers(plot: Plot) -> list[Key]:
 
 
 def resolved(plots: Sequence[Plot]) -> list[Plot]:
-    """Return the plots with the limits of all axes, and with the ticks and text of axes along which all is zero."""
+    """Return the plots with the limits of all axes."""
     plots = list(plots)
     for which in ("x", "y"):
         groups: dict[str, list[int]] = {}
@@ -313,23 +309,16 @@ def resolved(plots: Sequence[Plot]) -> list[Plot]:
         for members in groups.values():
             limits = _limits([plots[k] for k in members], which)
             for k in members:
-                axis = replace(getattr(plots[k], which), limits=limits or (-1.0, 1.0))
-                if limits:
-                    plots[k] = replace(plots[k], **{which: axis})
-                else:
-                    layers = [*plots[k].layers, Text(0.5, 0.7, axis.zero, relative=True)]
-                    plots[k] = replace(plots[k], layers=layers, **{which: replace(axis, ticks=[(0.0, "0")])})
+                plots[k] = replace(plots[k], **{which: replace(getattr(plots[k], which), limits=limits)})
     return plots
 
 
-def _limits(plots: Sequence[Plot], which: str) -> tuple[float, float] | None:
-    """Return the limits of a group of axes; None if all values along them are zero, and a text says so."""
+def _limits(plots: Sequence[Plot], which: str) -> tuple[float, float]:
+    """Return the limits of a group of axes."""
     axes: list[Axis] = [getattr(plot, which) for plot in plots]
     first = axes[0]
     values = np.concatenate([np.zeros(0), *(_places(layer, which) for plot in plots for layer in plot.layers)])
     values = values[np.isfinite(values) & ((values > 0) | (not first.log))]
-    if first.zero and values.size and not values.any():
-        return None
     lows, highs = ([end for axis in axes if (end := axis.limits[k]) is not None] for k in (0, 1))
     low, high = (float(values.min()), float(values.max())) if values.size else (0.1 * first.log, 1.0)
     if lows or highs:

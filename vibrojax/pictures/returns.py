@@ -77,7 +77,7 @@ def _return_plots(facet: xr.Dataset, shown: str, x: str, layers: Sequence[xr.Dat
     """Draw the section crossings of each initial condition over those of all others, then the families."""
     factor, unit = scale(facet[shown])
     words = broken(with_unit(returns_label(facet[shown]), unit), _LETTERS)
-    up = Axis(words, shown, group="returns", zero="zero everywhere")
+    up = Axis(words, shown, group="returns")
     families = overlays.over_layers(layers, facet, x, overlays.variable_over(shown), factor)
     size = dot_size(facet.sizes[x])
     if contents.many_starts(facet):
@@ -209,7 +209,7 @@ def _way_plots(
             Points(*_dots(way.lanes[shown], factor, x), way.colour, size * (0.7 if k else 1.2), clip=False)
             for k, way in enumerate(ways)
         ]
-        plots = [Plot(crossings, y=Axis(with_unit(returns_label(facet[shown]), unit), shown, zero="zero everywhere"))]
+        plots = [Plot(crossings, y=Axis(with_unit(returns_label(facet[shown]), unit), shown))]
     along = values_along(facet[x])
     between = (along[1:] + along[:-1]) / 2
     arrows: list[Layer] = []

@@ -202,7 +202,6 @@ def _phase_planes(ds: xr.Dataset, shown: Sequence[Value]) -> Sheet:
             axes.axis(ds[x], group=f"x{row}", intervals=6),
             axes.axis(ds[y], group=f"y{row}"),
             place=(row, column),
-            grid="",
             scale=None if value.counted else value,
         )
         for row, (x, y) in enumerate(pairs[:3])

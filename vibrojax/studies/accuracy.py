@@ -20,23 +20,7 @@ from vibrojax.errors import Place, counted, printable
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.contents import SETTING
-from vibrojax.pictures.plots import (
-    INK,
-    Area,
-    Axis,
-    Key,
-    Layer,
-    Line,
-    Look,
-    Picture,
-    Plot,
-    Sheet,
-    Text,
-    bars,
-    dots,
-    key,
-    patch,
-)
+from vibrojax.pictures.plots import INK, Area, Axis, Key, Layer, Line, Look, Picture, Plot, Sheet, bars, dots, key
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasRock
 from vibrojax.settings.values import check_distinct, choice
@@ -331,20 +315,23 @@ def work_precision(ds: xr.Dataset) -> Picture:
     for index, scene in enumerate(scenes):
         rows = ds.isel({SETTING: ds["scene"].values == scene})
         count = counted(int(rows["lanes"].values[0]), "periodic lane")
-        plots.append(Plot(_layers(rows), across, up, scene, divmod(index, wide), remark=count))
+        plots.append(Plot(_layers(rows, errors[0]), across, up, f"{scene}: {count}", divmod(index, wide)))
     keys: list[Key] = [
         dots(label="down to the median lane", marker="|", size=9.0),
         key("range of the repeats", **_RANGE),
         key("Pareto front", **_BAND),
-        patch(_FLOOR, "below what the reference can tell", edge=""),
     ]
     machine = {"processor": "machine unknown", "cores": "?", "jax": "?"} | table_of(ds, "machine")
     computer = printable("{processor}, {cores} cores, jax {jax}".format(**machine), 180)
+    absent = ds.isel({SETTING: ds["time_per_lane_second"].isnull().values})
+    pairs = dict.fromkeys(zip(absent["method"].values.tolist(), absent["scene"].values.tolist(), strict=True))
+    cannot = dict.fromkeys(f"{method.split()[0]} cannot run {scene}" for method, scene in pairs)
     title, size = title_of(ds, "Speed against error"), (3.1 * wide + 2.2, 3.0 * deep + 0.35)
-    return Sheet(plots, size, keys=[keys], title=title, note=computer)
+    return Sheet(plots, size, keys=[keys], title=title, note=". ".join([computer, *cannot]))
 
 
-def _layers(ds: xr.Dataset) -> list[Layer]:
+def _layers(ds: xr.Dataset, least: float) -> list[Layer]:
+    """Return the marks of one scene, above the `least` error of the panels."""
     layers: list[Layer] = []
     front = ds.isel({SETTING: ds["on_front"].values == 1}).sortby("time_per_lane_second")
     if front.sizes[SETTING]:  # a staircase; settings above and to the right of it are worse
@@ -352,12 +339,10 @@ def _layers(ds: xr.Dataset) -> list[Layer]:
         places, heights = [x[0], *x, _EDGES[1]], [_EDGES[1], *y, y[-1]]
         layers.append(Line(np.repeat(places, 2)[1:], np.repeat(heights, 2)[:-1], order=1.0, **_BAND))
     spread = max(float(ds["reference_spread"].values[0]), 1e-16)
-    layers.append(Area([-np.inf, np.inf], [_EDGES[0]] * 2, [spread] * 2, _FLOOR, order=0.0))
-    absent = np.isnan(ds["time_per_lane_second"].values)
-    if absent.any():
-        text = f"{ds['method'].values[absent][0].split()[0]}: cannot run this scene"
-        layers.append(Text(0.97, 0.97, text, "right", "top", size=7.5, relative=True))
-        ds = ds.isel({SETTING: ~absent})
+    if spread > 2 * least:  # else it cannot be seen
+        floor = Look(colour=_FLOOR, order=0.0, label="below what the reference can tell")
+        layers.append(Area([-np.inf, np.inf], [_EDGES[0]] * 2, [spread] * 2, **floor))
+    ds = ds.isel({SETTING: ds["time_per_lane_second"].notnull().values})
     columns = list(zip(*(ds[name].values.tolist() for name in ("method", "varied", "precision")), strict=True))
     for column in dict.fromkeys(columns):
         here = ds.isel({SETTING: [index for index, other in enumerate(columns) if other == column]}).sortby("value")

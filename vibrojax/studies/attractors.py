@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from jaxtyping import Float, Int
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex, to_rgb
 
 from vibrojax.errors import InputError, counted
 from vibrojax.io.attributes import flags, parameters_of
@@ -24,12 +24,19 @@ from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import SINGLE_IMPACT, blow_frequency
 from vibrojax.periodic.orbits import SAME_ORBIT
 from vibrojax.pictures.axes import axis, edges, map_axis, margins, scale, share_text, values_along, with_unit
-from vibrojax.pictures.colours import cell_keys, no_value_key, regime_names, regime_value, share_value, value_of
+from vibrojax.pictures.colours import (
+    REGIME_COLOURS,
+    cell_keys,
+    no_value_key,
+    regime_names,
+    regime_value,
+    share_value,
+    value_of,
+)
 from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
 from vibrojax.pictures.layout import MOST_PANELS, at, facets
 from vibrojax.pictures.maps import cell_layers, maps_of
 from vibrojax.pictures.plots import (
-    Area,
     Axis,
     Bars,
     Cells,
@@ -77,13 +84,14 @@ SETTINGS = {
 }
 
 LANES = "lane_attractor"
-COLOURS = ("#0072B2", "#E69F00", "#6A1B5D", "#009E73", "#D55E00", "#56B4E9", "#222222", "#B5468B")
-"""Colours of the attractors from number 0; all further attractors have the colour `BEYOND`."""
-
 BEYOND = "#A8A8A8"
+"""Colour of the attractors beyond the first eight."""
+
+_COLOURED, _SHADE = 8, 0.6  # attractors with a colour; the share of the colour that the next one of a regime keeps
 _SHOWN = 12  # greatest number of attractors that are listed one by one
 _VELOCITY = "impact_velocity"
 _STRONG, _COUNT, _FROM = "strong_share", "attractors", "regime_from_"
+_WHOLE = 1e-6  # shares [%] within which a column is full, and its top has no error
 _MOST_FACETS, _MOST_COLUMNS, _PANEL = 6, 3, (4.2, 2.0)  # _PANEL: width and height [inch]
 
 
@@ -189,24 +197,39 @@ def attractor_shares(ds: xr.Dataset) -> Sheet:
     lost = counted(unassigned, f"lane of {lanes} ends", f"lanes of {lanes} end") + " in none that could be told"
 
     # Legend: number, most frequent regime, and basin fraction over the grid.
-    count, points = ds.sizes[ATTRACTOR], ds["unassigned"].size
-    share, regime = (ds[name].transpose(..., ATTRACTOR).values.reshape(points, count) for name in ("share", REGIME))
-    names = regime_names(ds[REGIME])
-    keys: list[Key] = []
-    for k in range(min(count, len(COLOURS))):
-        most = int(np.argmax(np.bincount(regime[:, k], weights=share[:, k])))
-        text = f"{k}: {names[most]}, {share_text(float(share[:, k].mean()))} of starts"
-        keys.append(patch(_colour(k), text, edge=""))
-    if count > len(COLOURS):
-        keys.append(patch(BEYOND, f"{count - len(COLOURS)} others", edge=""))
-    if unassigned and points == 1:
+    names, shares = regime_names(ds[REGIME]), ds["share"].mean([d for d in ds["share"].dims if d != ATTRACTOR])
+    rows = zip(_usual_regimes(ds), shares.values.tolist(), attractor_colours(ds)[:_COLOURED], strict=False)
+    keys: list[Key] = [
+        patch(colour, f"{k}: {names[flag]}, {share_text(share)} of starts", edge="")
+        for k, (flag, share, colour) in enumerate(rows)
+    ]
+    if (others := ds.sizes[ATTRACTOR] - _COLOURED) > 0:
+        keys.append(patch(BEYOND, f"{others} others", edge=""))
+    if unassigned and not along:
         keys.append(no_value_key("could not be told"))
     return replace(sheet, keys=[keys], **margins(ds, about, note, lost if unassigned else ""))
 
 
+def _usual_regimes(ds: xr.Dataset) -> list[int]:
+    """Return the regime that each attractor has for most starts."""
+    count = ds.sizes[ATTRACTOR]
+    share, regime = (ds[name].transpose(ATTRACTOR, ...).values.reshape(count, -1) for name in ("share", REGIME))
+    return [int(np.argmax(np.bincount(*each))) for each in zip(regime, share, strict=True)]
+
+
+def attractor_colours(ds: xr.Dataset) -> list[str]:
+    """Return the colour of each attractor: that of its regime, in other shades for further ones of the same regime."""
+    colours: list[str] = []
+    regimes = _usual_regimes(ds)
+    for k, flag in enumerate(regimes[:_COLOURED]):
+        colour, share = np.array(to_rgb(REGIME_COLOURS.get(flag, BEYOND))), _SHADE ** regimes[:k].count(flag)
+        colours.append(to_hex(share * colour + (1 - share) * (colour.mean() < 0.5)))
+    return colours + [BEYOND] * (len(regimes) - len(colours))
+
+
 def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
-    """Draw basin fractions, and impact velocities where a fraction is above zero, over the axis `x`."""
-    ds = ds.sortby(x)
+    """Draw basin fractions as columns, and impact velocities where a fraction is above zero, over the axis `x`."""
+    ds, colours = ds.sortby(x), attractor_colours(ds)
     panels = facets(ds, (x, ATTRACTOR), _MOST_FACETS)
     names = ["share", *([_VELOCITY] if _VELOCITY in ds and np.isfinite(ds[_VELOCITY]).any() else [])]
     wide = 1 + max(column for _, column in panels.places(_MOST_COLUMNS))
@@ -216,16 +239,19 @@ def _shares_along(ds: xr.Dataset, x: str) -> Sheet:
         facet, along = facet.transpose(..., x, ATTRACTOR), values_along(facet[x])
         share, error = 100.0 * facet["share"].values, 100.0 * facet["share_stderr"].values
         tops = np.cumsum(np.nan_to_num(share), axis=1)  # one on top of another
+        ends = edges(along)
         stacked, velocities = list[Layer](), list[Layer]()
         for number in range(share.shape[1]):
             occurs, top = share[:, number] > 0, tops[:, number]
             low, high = np.clip([top - error[:, number], top + error[:, number]], 0.0, 100.0)
-            stacked.append(Area(along, top - np.nan_to_num(share[:, number]), top, _colour(number), 0.9))
-            stacked.append(Line(*bars(along[occurs], low[occurs], high[occurs]), "#333333", 0.7))
+            heights = np.nan_to_num(share[:, number])
+            stacked.append(Bars(ends[:-1], top - heights, np.diff(ends), heights, colours[number]))
+            inner = occurs & (top < 100.0 - _WHOLE)
+            stacked.append(Line(*bars(along[inner], low[inner], high[inner]), width=1.0, halo=0.5))
             if len(names) > 1:
                 velocity = np.where(occurs, facet[_VELOCITY].values[:, number] * scale(ds[_VELOCITY])[0], np.nan)
                 look: Look = {"marker": "o", "size": 3.6, "order": 2.5 - 0.001 * number, "clip": False}
-                velocities.insert(0, Line(along, velocity, _colour(number), 1.3, **look))
+                velocities.insert(0, Line(along, velocity, colours[number], 1.3, **look))
         for i, (name, layers) in enumerate(zip(names, (stacked, velocities), strict=False)):
             up = Axis("share of starts [%]", limits=(0.0, 100.0), group=name)
             if name == _VELOCITY:
@@ -244,15 +270,14 @@ def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:
     if len(states) != 2:
         share, error = 100.0 * ds["share"].values, 100.0 * ds["share_stderr"].values
         places = np.arange(share.size, dtype=float)
-        columns = Bars(places - 0.4, 0.0 * places, 0.0 * places + 0.8, share, [_colour(k) for k in range(share.size)])
+        columns = Bars(places - 0.4, 0.0 * places, 0.0 * places + 0.8, share, attractor_colours(ds))
         errors = Line(*bars(places, share - error, share + error), "#4D4D4D")
         ticks = [(k, str(int(k))) for k in places[:: max(1, -(-share.size // _SHOWN))].tolist()]
         up = Axis("share of starts [%]", limits=(0.0, None))
-        return Plot([columns, errors], Axis("attractor", ticks=ticks), up, grid=""), ""
+        return Plot([columns, errors], Axis("attractor", ticks=ticks), up), ""
     x, y = states
     cells = np.asarray(spread[LANES].transpose(y, x).values)
-    shown = np.where(cells < 0, np.nan, np.minimum(cells, len(COLOURS)))
-    colours = ListedColormap([*COLOURS, BEYOND])
+    shown, colours = np.where(cells < 0, np.nan, cells), ListedColormap(attractor_colours(ds))
     ends = edges(values_along(spread[x])), edges(values_along(spread[y]))
     across, up = (axis(spread[name], limits=(float(e[0]), float(e[-1]))) for name, e in zip(states, ends, strict=True))
     layers: list[Layer] = [Cells(*ends, shown, colours, BoundaryNorm(np.arange(-0.5, colours.N), colours.N))]
@@ -281,10 +306,6 @@ def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:
             several = len(numbers) > 1
             notes.append(f"Attractor{'s' * several} {', '.join(numbers)} {many if several else one}")
     return Plot(layers, across, up), ". ".join(notes)
-
-
-def _colour(number: int) -> str:
-    return COLOURS[number] if number < len(COLOURS) else BEYOND
 
 
 def share_map(ds: xr.Dataset) -> Sheet:

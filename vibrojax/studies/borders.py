@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import ListedColormap, Normalize
 
 from vibrojax.errors import InputError, Place, counted, printable, shown
 from vibrojax.io.attributes import flags
@@ -25,9 +24,9 @@ from vibrojax.measures.labels import SINGLE_IMPACT, UNDECIDED
 from vibrojax.periodic.orbits import orbits_of
 from vibrojax.periodic.problem import check_changes_orbits
 from vibrojax.physics.parameters import REPLACED, substitutes
-from vibrojax.pictures.axes import axis, edges, margins, share_text, value_text, values_along
+from vibrojax.pictures.axes import axis, margins, share_text, value_text, values_along
 from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_layers
-from vibrojax.pictures.plots import Cells, Plot, Sheet, Text, patch
+from vibrojax.pictures.plots import Line, Plot, Sheet, Text, dots
 from vibrojax.scenes import HasImpacts
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, analyse
 from vibrojax.studies.border_curves import Border, ContinuedBorders, crossings_of
@@ -42,7 +41,8 @@ WHERE = {
 """Ends of the meanings of parameters, by prefix of their names."""
 
 _PANEL = (3.3, 3.0)  # inches
-_STABLE = "#FFF0C2"  # ground on the side of a border where a single impact is stable
+_STABLE = "#F2CC6B"
+_POINT, _POINTS = 3.5, 60.0  # size of a point of the grid [pt], and of a row of points together
 _MOST_SHOWN = 4  # largest numbers of rows and of columns
 
 
@@ -278,6 +278,7 @@ def border_curves(ds: xr.Dataset) -> Sheet:
     regions = {region: k for k, region in reversed([*enumerate(zip(planes, starts, strict=True))])}
     rows, columns = list(dict.fromkeys(planes)), list(dict.fromkeys(starts))
     shown_rows, shown_columns = rows[:_MOST_SHOWN], [*columns[:-1][: _MOST_SHOWN - 1], columns[-1]]
+    limits = {n: _limits(values_along(ds[f"cell_{n}"])) for n in (x, y) if f"cell_{n}" in ds}
     plots = []
     for k, (plane, start) in enumerate(product(shown_rows, shown_columns)):
         values = dict(zip(others, plane, strict=True))
@@ -288,30 +289,29 @@ def border_curves(ds: xr.Dataset) -> Sheet:
         if not layers:
             text = "no border" + (": a single impact is stable everywhere" if areas[plane, start] > 0.5 else "")
             layers = [Text(0.5, 0.5, fill(text, 24), relative=True)]
-        about: dict[str, Any] = {}
         if "region_stable" in ds:
-            cells, ends = _stable_cells(ds, regions[plane, start], x, y)
-            layers, about = [cells, *layers], ends
-        across, up = (axis(ds[n], group=n, intervals=6, **about.get(n, {})) for n in (x, y))
+            layers.append(_stable_points(ds, regions[plane, start], x, y))
+        across, up = (axis(ds[n], group=n, intervals=6, limits=limits.get(n, (None, None))) for n in (x, y))
         plots.append(Plot(layers, across, up, title, divmod(k, len(shown_columns)), values))
     hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
     text = "Share of the plane: where a single impact is stable; any start: however its orbit is reached"
     missing = f"Not shown: {counted(hidden[0], 'plane')}, {counted(hidden[1], 'start')}" if any(hidden) else ""
     widths, heights = (1.0,) * len(shown_columns), (1.0,) * len(shown_rows)
     size = _PANEL[0] * len(widths) + 1.6, _PANEL[1] * len(heights) + 0.6
-    keys = [[patch(_STABLE, "a single impact\nis stable")]] if "region_stable" in ds else []
-    return Sheet(plots, size, widths, heights, keys, **margins(ds, text, missing))
+    return Sheet(plots, size, widths, heights, **margins(ds, text, missing))
 
 
-def _stable_cells(ds: xr.Dataset, region: int, x: str, y: str) -> tuple[Cells, dict[str, Any]]:
-    """Return the points of the grid at which a single impact is stable, as cells, and the limits of the axes."""
-    sides = {name: np.unique(values_along(ds[f"cell_{name}"])) for name in (x, y)}
-    values = np.full((sides[y].size, sides[x].size), np.nan)
-    row, column = (np.searchsorted(sides[n], values_along(ds[f"cell_{n}"])) for n in (y, x))
-    values[row, column] = np.where(ds["region_stable"].values[region] == 1, 1.0, np.nan)
-    ends = {name: edges(side) for name, side in sides.items()}
-    about = {name: {"limits": (float(side[0]), float(side[-1]))} for name, side in ends.items()}
-    return Cells(ends[x], ends[y], values, ListedColormap([_STABLE]), Normalize(0.0, 2.0), hatched=False), about
+def _stable_points(ds: xr.Dataset, region: int, x: str, y: str) -> Line:
+    """Return the points of the grid at which a single impact is stable."""
+    stable = ds["region_stable"].values[region] == 1
+    places = (values_along(ds[f"cell_{n}"])[stable] for n in (x, y))
+    size = min(_POINT, _POINTS / np.sqrt(stable.size))
+    return dots(*places, colour=_STABLE, size=size, order=1.0, label="a single impact\nis stable")
+
+
+def _limits(values: np.ndarray) -> tuple[float, float]:
+    room = 0.03 * float(np.ptp(values))
+    return float(values.min()) - room, float(values.max()) + room
 
 
 @dataclass(frozen=True)

@@ -94,12 +94,12 @@ def _posterior_plot(ds: xr.Dataset) -> Plot:
         counts, ends = np.histogram(draws[:, 0], 30)
         bars = Bars(ends[:-1], np.zeros(30), np.diff(ends), counts)
         layers: list[Layer] = [bars, upright(estimate[0], colour=IMPACT)]
-        return Plot(layers, axes[0], Axis("draws of the posterior", limits=(0.0, None)), "posterior", grid="")
+        return Plot(layers, axes[0], Axis("draws of the posterior", limits=(0.0, None)), "posterior")
     layers = [
         dots(draws[:, 0], draws[:, 1], colour=BIT, size=1.0, alpha=0.4),
         dots(estimate[:1], estimate[1:2], marker="*", colour=IMPACT, size=10.0, order=3.0, label="estimate"),
     ]
-    return Plot(layers, axes[0], axes[1], "posterior", grid="")
+    return Plot(layers, axes[0], axes[1], "posterior")
 
 
 def _combination_plot(ds: xr.Dataset) -> Plot:
@@ -115,7 +115,7 @@ def _combination_plot(ds: xr.Dataset) -> Plot:
         for k, colour, text in ((known, BIT, "determined"), (~known, FAINT, "vague"))
         if k.any()
     ]
-    return Plot(layers, across, up, "combinations", grid="")
+    return Plot(layers, across, up, "combinations")
 
 
 def _value(ds: xr.Dataset, k: int) -> xr.DataArray:

@@ -81,7 +81,7 @@ def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
         corners = [-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]
         right, top = (c + w * np.array(k) for c, w, k in zip(centre, widths, corners, strict=True))
         layers.append(Line(right, top, IMPACT, 1.1, label="its tolerances", order=2.9))
-    return Plot(layers, axis(_named(ds, across)), axis(_named(ds, up)), grid="", scale=value)
+    return Plot(layers, axis(_named(ds, across)), axis(_named(ds, up)), scale=value)
 
 
 def _plot_along(ds: xr.Dataset, name: str) -> Plot:
@@ -100,12 +100,11 @@ def _front_plot(ds: xr.Dataset) -> Plot:
     limit = ds[f"front_{against}"] if f"front_{against}" in ds else ds["front_limit"]
     factor = scale(ds["front_objective"])[0]
     x = values_along(limit)
-    layers: list[Layer] = [Line(x, ds["front_objective"].values * factor, BIT, 1.0, marker="o", size=3.5)]
-    title = "front"
-    if (ds["front_objective_worst"].values != ds["front_objective"].values).any():
-        layers.append(Line(x, ds["front_objective_worst"].values * factor, BIT, 1.0, ":"))
-        title += " (dotted: worst of the samples of the tolerances)" if "tolerance" not in against else ""
-    return Plot(layers, axis(limit), Axis(_objective_label(ds)), title)
+    best, worst = (factor * ds[name].values for name in ("front_objective", "front_objective_worst"))
+    layers: list[Layer] = [Line(x, best, BIT, 1.0, marker="o", size=3.5, label="front")]
+    if (worst != best).any():
+        layers.append(Line(x, worst, BIT, 1.0, ":", label="front, worst of the samples of the tolerances"))
+    return Plot(layers, axis(limit), Axis(_objective_label(ds)))
 
 
 def _infeasible(x: np.ndarray, y: np.ndarray) -> list[Layer]:

@@ -7,18 +7,21 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import InputError
-from vibrojax.pictures.axes import scale, with_unit
+from vibrojax.measures.labels import FAILED, UNDECIDED
+from vibrojax.pictures.axes import scale, value_text, with_unit
 from vibrojax.pictures.chart import chart
-from vibrojax.pictures.contents import FORM, POINT, RATE, RELIEF, START, lane_dims, rates_in, without_single
+from vibrojax.pictures.contents import FORM, POINT, RATE, REGIME, RELIEF, START, lane_dims, rates_in, without_single
 from vibrojax.pictures.lines import Across, Series, axis_of_lines, line_keys, longest_axis, row_per_facet
 from vibrojax.pictures.plots import FAINT, Area, Axis, Key, Layer, Line, Look, Picture, Plot, Sheet, Text, dots, key
+from vibrojax.pictures.style import BIT
 from vibrojax.studies.sweep import frequencies
 
 _MODES = {"lower_frequency": "-", "upper_frequency": "-", "bit_frequency": ":", "striker_frequency": ":"}
 _MODE_NAMES = {"-": "natural frequencies\nof both masses", ":": "bit alone,\nstriker alone"}
-_MEAN: Look = {"size": 2.0}  # of a motion that does not repeat
+_MEAN: Look = {"size": 2.0, "edge_width": 0.8}  # of a motion that does not repeat
 _MOTIONS = {"return_frequency": "o", "blows_per_second": "x"}
-_MOTION_NAMES = {"return_frequency": "returns of the bit", "blows_per_second": "blows"}
+_MOTION_NAMES = {"return_frequency": "returns of the bit", "blows_per_second": "blows, if not one per return"}
+_ONE_PER_RETURN = 1e-3  # relative difference of the two up to which blows have no mark
 _ORDERS = 6  # most multiples of the rotation that are drawn
 _CURVE_POINTS = 200
 _RAY_LABEL = 0.06  # room of the label of a ray, as a fraction of the axis
@@ -29,8 +32,9 @@ _FORCE = "mean_force"
 def campbell(ds: xr.Dataset) -> Sheet:
     """Draw the Campbell diagram: frequencies of the motion and of the machine over the speed, or the longest axis.
 
-    Dots are the returns of the bit per second and crosses the blows; lines are the natural frequencies. If the sweep
-    has a bit radius, the axis is the rotation speed, with its multiples as rays.
+    Rings are the returns of the bit per second, and crosses the blows if they are not one per return. Lines are the
+    natural frequencies. If the sweep has a bit radius, the axis is the rotation speed, with its multiples as rays.
+    Undecided and failed lanes are left out.
 
     **Raises:** `InputError` if the dataset holds no periods over an axis, or no natural frequencies.
     """
@@ -41,9 +45,11 @@ def campbell(ds: xr.Dataset) -> Sheet:
     x = longest_axis(ds)
     if not x.is_number:
         raise InputError("campbell: no number varies in the dataset; sweep the speed, as v or rpm")
-    known["return_frequency"] = 1 / ds["period"]
+    decided = ~ds[REGIME].isin((UNDECIDED, FAILED)) if REGIME in ds else True
+    known["return_frequency"] = returns = (1 / ds["period"]).where(decided)
     if "blow_frequency" in known:
-        known["blows_per_second"] = known["blow_frequency"] / 60
+        blows = (known["blow_frequency"] / 60).where(decided)
+        known["blows_per_second"] = blows.where(~(np.abs(blows - returns) <= _ONE_PER_RETURN * returns))
     drawn = {name: data for name, data in known.items() if name in (*_MODES, *_MOTIONS, "rpm")}
     ds = ds.assign({name: data for name, data in drawn.items() if name not in ds.coords}).sortby(x.name)
     turns = "rpm" in ds and x.name in ds["rpm"].dims
@@ -72,8 +78,8 @@ def campbell(ds: xr.Dataset) -> Sheet:
                     repeats = (
                         np.broadcast_to(line.lanes["cycles"].values > 0, along.shape) if named else ~np.isnan(values)
                     )
-                    for shown, look in ((repeats, _marks(marker) | nested(k)), (~repeats, _MEAN)):
-                        if shown.any():
+                    for shown, look in ((repeats, _marks(marker) | nested(k)), (~repeats, _MEAN | {"marker": marker})):
+                        if (shown & ~np.isnan(values)).any():
                             layers.append(dots(along[shown], values[shown], colour=line.colour, **look))
         free = np.inf  # right of it, rays have their labels
         for order in range(1, _ORDERS + 1) if turns else ():
@@ -85,8 +91,9 @@ def campbell(ds: xr.Dataset) -> Sheet:
         return Plot(layers, across, Axis("frequency [Hz]", limits=(0.0, top), group="frequency"))
 
     keys: list[Key] = [key(name, colour=FAINT, dash=dash) for dash, name in _MODE_NAMES.items()]
-    keys += [dots(label=_MOTION_NAMES[name], **_marks(marker)) for name, marker in _MOTIONS.items() if name in ds]
-    keys += [dots(label="mean: does not repeat", **_MEAN)] * (named and bool((ds["cycles"] == 0).any()))
+    marks = {name: marker for name, marker in _MOTIONS.items() if name in ds and ds[name].notnull().any()}
+    keys += [dots(label=_MOTION_NAMES[name], **_marks(marker)) for name, marker in marks.items()]
+    keys += [dots(label="small: mean, does not repeat", **_MEAN)] * (named and bool((ds["cycles"] == 0).any()))
     lines = [replace(each, **nested(k)) for k, each in enumerate(line_keys(ds, by, dash="", **_marks("o")))]
     note = "Rays: multiples of the rotation n" if turns else ""
     return row_per_facet(ds, x, by, [draw], [keys, lines], note)
@@ -111,11 +118,12 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
     fit = fit_rop(ds, along=x.name, progress=False).sel({FORM: "onset"})
     law = next(form.rate for form in FORMS if form.name == "onset")
     by = axis_of_lines(ds, x.name)
+    facet_names = [name for name in lane_dims(ds) if name not in (x.name, by)]
     (factor, unit), (of_force, force_unit) = scale(ds[RATE]), scale(ds[_FORCE])
     lowest = -0.03 * factor * max(float(ds[RATE].max()), np.finfo(float).tiny)
     across = Axis(with_unit("mean force P", force_unit), _FORCE, (0.0, None), group="force")
     up = Axis(with_unit("rate of penetration", unit), RATE, (lowest, None), group="rate")
-    onsets: list[Key] = []
+    onsets: dict[str, list[str]] = {}  # of each line, by facet
     few = ds.sizes.get(by, 1) <= _MOST_ONSETS
 
     def draw(lines: list[Series]) -> Plot:
@@ -132,11 +140,13 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
             above = of_force * float(np.min(force[rate > 0], initial=np.inf))
             below = of_force * float(np.max(force[(rate == 0) & (of_force * force < above)], initial=-np.inf))
             if not np.isfinite(above):
-                text = "no onset"
+                text = "none"
             elif not np.isfinite(below):
-                text = f"onset below {above:.4g} {force_unit}"
+                text = f"below {above:.4g}"
             else:
-                text = f"onset at {below:.4g} to {above:.4g} {force_unit}"
+                text = f"{below:.4g}–{above:.4g}"
+            where = [value_text(line.lanes[name], line.lanes[name].item()) for name in facet_names]
+            onsets.setdefault(line.name, []).append(" ".join([*where, text]).removeprefix("rock: "))
             if few and np.isfinite(below):
                 layers.append(Area([below, above], [-np.inf] * 2, [np.inf] * 2, line.colour, 0.15))
             for mask, face in ((rate > 0, line.colour), (rate == 0, "white")):
@@ -145,12 +155,18 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
                 along = np.geomspace(onset, float(np.nanmax(force)), _CURVE_POINTS)
                 values = law(along / threshold, float(group["C"]), float(group["eta0"]), np.nan)
                 layers.append(Line(of_force * along, factor * values, line.colour))
-            onsets.append(key(":\n".join(filter(None, (line.name, text * few))), colour=line.colour, marker="o"))
         return Plot(layers, across, up)
 
-    hollow = [dots(label="no penetration", face="white")] if bool((ds[RATE] == 0).any()) else []
-    note = "Shaded: the onset. " * few + "Lines: the fitted law C ln(P/P0)"
-    return row_per_facet(ds, x, by, [draw], [onsets, hollow], note)
+    marks: list[Key] = [key("fitted law C ln(P/P0)", width=1.2)]
+    marks += [dots(label="no penetration", face="white")] * bool((ds[RATE] == 0).any())
+    marks += [Area(colour=FAINT, alpha=0.3, label="onset")] * few
+    sheet = row_per_facet(ds, x, by, [draw], [])
+    lines = line_keys(ds, by) or [key("", marker="o", colour=BIT)]
+    if few:
+        heads = [with_unit(", ".join(filter(None, (line.label, "onset"))), force_unit) for line in lines]
+        texts = ["\n".join([head, *onsets[line.label]]) for line, head in zip(lines, heads, strict=True)]
+        lines = [replace(line, label=text) for line, text in zip(lines, texts, strict=True)]
+    return replace(sheet, keys=[marks, lines])
 
 
 DIAGRAMS: dict[str, Callable[[xr.Dataset], Picture]] = {

@@ -21,7 +21,7 @@ from vibrojax.maps.run import lanes_beside, run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, SINGLE_IMPACT
 from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of
-from vibrojax.pictures.plots import FAINT, INK, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars
+from vibrojax.pictures.plots import FAINT, INK, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars, one_colour
 from vibrojax.pictures.style import BIT
 from vibrojax.settings.fields import given, setting
 from vibrojax.settings.toml import read_source
@@ -43,6 +43,7 @@ MIN_SHARE = 0.05
 """Share of the variance below which a parameter or a pair counts as unimportant."""
 
 _MAX_ROWS = 4
+_UNKNOWN = "#F2F2F2"  # ground of a pair whose interaction is within its error
 _BAR = 0.38  # height of a bar; two stand at each parameter
 
 
@@ -52,7 +53,7 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     There is one row per variable, four at most.
     """
     of = [str(name) for name in ds["of"].values][:_MAX_ROWS]
-    size = 9.0, len(of) * max(1.9, 0.8 + 0.26 * ds.sizes["parameter"]) + 0.8
+    size = 9.0, len(of) * max(1.7, 0.6 + 0.22 * ds.sizes["parameter"]) + 0.8
     greatest = 100 * min(float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE)), 1.0)
     norm = Normalize(0.0, greatest)
     plots = []
@@ -63,7 +64,7 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     rest = ds.sizes["of"] - len(of)
     further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
     level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
-    about = f"Lines: intervals of {level} confidence; pairs within theirs of 0 are in brackets"
+    about = f"Lines: intervals of {level} confidence; pairs within theirs of 0 are pale and in brackets"
     shares = np.concatenate([ds[name].values.ravel() for name in ("first_order", "total_order")])
     beyond = "Shares beyond 0 and 1, from too few samples, end there" * bool(((shares < 0) | (shares > 1)).any())
     notes = "Titles: mean ± standard deviation", about, beyond, further
@@ -84,7 +85,7 @@ def _share_plot(row: xr.Dataset, k: int, label: str) -> Plot:
     if int(row["sobol_reason"]) != REASONS.index("known"):
         layers.append(Text(0.5, 0.5, _why(row), relative=True))
     up = Axis(ticks=[*zip(places.tolist(), names, strict=True)], reversed=True)
-    return Plot(layers, Axis(label, limits=(0.0, 1.0)), up, _title(row), (k, 0), grid="x")
+    return Plot(layers, Axis(label, limits=(0.0, 1.0)), up, _title(row), (k, 0))
 
 
 def _symbols(row: xr.Dataset) -> list[str]:
@@ -99,13 +100,15 @@ def _pair_plot(row: xr.Dataset, k: int, norm: Normalize) -> Plot:
     lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
     ends = np.arange(len(names) + 1) - 0.5
     layers: list[Layer] = [Cells(ends, ends, lower, colormaps["Blues"], norm, hatched=False)]
+    unknown = np.isfinite(lower) & ~(values > errors)
+    layers.append(one_colour(ends, ends, unknown, _UNKNOWN, order=0.5))
     for i, j in zip(*np.nonzero(np.isfinite(lower)), strict=True):
-        colour = "#FFFFFF" if norm(lower[i, j]) > 0.6 else INK
-        text = f"{lower[i, j]:.0f}" if values[i, j] > errors[i, j] else f"({lower[i, j]:.0f})"
+        colour = "#FFFFFF" if norm(lower[i, j]) > 0.6 and not unknown[i, j] else INK
+        text = f"({lower[i, j]:.0f})" if unknown[i, j] else f"{lower[i, j]:.0f}"
         layers.append(Text(float(j), float(i), text, colour=colour, size=7.5))
     ticks = [(float(place), name) for place, name in enumerate(names)]
     across, up = Axis(ticks=ticks, group="other"), Axis(ticks=ticks, reversed=True)
-    return Plot(layers, across, up, "interactions of pairs [%]", (k, 1), grid="")
+    return Plot(layers, across, up, "interactions of pairs [%]", (k, 1))
 
 
 def _title(row: xr.Dataset) -> str:

@@ -46,7 +46,7 @@ _DIGITS = 9  # special points are located to nine digits
 _MODULUS_RANGE = (1e-2, 1e2)  # limits of the axis of the largest modulus
 _HALF_PLANE = (1.2, 1.5)  # bounds of half the width of the multiplier plot
 _QUANTITIES = ("impact_velocity", "slip_per_impact", "bit_amplitude", "period")  # the first available one is drawn
-_PANEL_HEIGHT = 2.1  # inches
+_PANEL_HEIGHT = 1.8  # inches
 
 
 def family_lines(ds: xr.Dataset) -> list[str]:
@@ -189,8 +189,7 @@ def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
     """Draw the multipliers of the first branches in the complex plane, or the eigenvalues; say how many are outside."""
     parameter, many, standing = ds[along_name(ds)], FAMILY in ds.dims, LEADING in ds
     along = values_along(parameter)
-    grey = "#D9D9D9"
-    layers: list[Layer] = [level(0.0, colour=grey, width=0.6, order=0.0)]
+    layers: list[Layer] = []
     first = min((branch.number for branch in every), default=0)
     shown = [branch for branch in every if branch.number == first]
     points = np.concatenate([np.zeros(0, int), *(branch.points for branch in shown)])
@@ -200,7 +199,7 @@ def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
         sides = [1.1 * float(np.nanmax(np.abs(part), initial=1e-12)) for part in (values.real, values.imag)]
     else:
         turn = np.linspace(0.0, 2 * np.pi, 181)
-        layers += [upright(0.0, colour=grey, width=0.6, order=0.0), Line(np.cos(turn), np.sin(turn), width=0.9)]
+        layers.append(Line(np.cos(turn), np.sin(turn), width=0.9))
         modulus, argument = ds[LARGEST].values[points], ds["multiplier_arg"].values[points]
         sides = [float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))] * 2
         values = (modulus * np.exp(1j * argument)).reshape(len(points), -1)
@@ -216,7 +215,7 @@ def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
     parts = zip(("real", "imaginary"), sides, strict=True)
     across, up = (Axis(f"{part} part{unit}", limits=(-x, x)) for part, x in parts)
     title = f"{'eigenvalues' if standing else 'multipliers'} of branch {first}"
-    plot = Plot(layers, across, up, title, grid="", square=not standing, scale=None if many else value)
+    plot = Plot(layers, across, up, title, square=not standing, scale=None if many else value)
     largest = values[:, 0] if len(points) else np.zeros(0)
     outside = int(((np.abs(largest.real) > sides[0]) | (np.abs(largest.imag) > sides[1])).sum())
     note = f"The plane leaves out {outside} of {len(points)} orbits' largest multiplier" if outside else ""

@@ -39,7 +39,8 @@ from vibrojax.studies.subjects import MachineAnalysis, answered
 
 _PUSH = "push_"
 _SIDES = {-1: ("#0072B2", "v", "negative push"), 1: ("#D55E00", "^", "positive push")}
-_RETURNS: Look = {"edge": "#B3B3B3", "hatch": "//"}  # every push tried returns
+_RETURNS: Look = {"edge": "#B3B3B3"}  # every push tried returns
+_PALE = "#F2F2F2"
 _BOUND: Look = {"colour": "#808080", "dash": "--", "width": 0.9}
 _MOTION = "motion"
 """Dimension of the explorer page: the motion on the working cycle, and after the smallest push in each state."""
@@ -65,7 +66,7 @@ def smallest_pushes(ds: xr.Dataset) -> Sheet:
         keys += [patch(REGIME_COLOURS[flag], names[flag]) for flag in sorted(ends)]
     if returning:
         hollow = dots(label="every push tried returns", marker=_SIDES[1][1], face="none")  # of either side
-        keys.append(hollow if several else patch("#FFFFFF", hollow.label, **_RETURNS))
+        keys.append(hollow if several else patch(_PALE, hollow.label, **_RETURNS))
     keys.append(key("greatest push tried", **_BOUND))
     none_leaves = "No push up to the greatest tried leaves the working cycle"
     each = f"One line for each value of {', '.join(symbol(ds[name]) for name in along[1:])}" * (len(along) > 1)
@@ -104,17 +105,17 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
         leaves = bool(np.isfinite(size))
         height = float(size) if leaves else bound if stable else 0.0
         look: Look = {"edge": "#595959"} if leaves else _RETURNS
-        fill = REGIME_COLOURS[int(flag)] if leaves else "#FFFFFF"
+        fill = REGIME_COLOURS[int(flag)] if leaves else _PALE
         text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
         up = height if leaves else height / 2
         layers.append(Bars([side - 0.3], [0.0], [0.6], [height], fill, **look))
-        layers.append(Text(float(side), up, text, baseline="bottom", halo=1.5, offset=(0.0, 3.0 * leaves)))
+        layers.append(Text(float(side), up, text, baseline="bottom", halo=1.5 * leaves, offset=(0.0, 3.0 * leaves)))
     ticks = [(float(k), _SIDES[int(sign)][2].removesuffix(" push")) for k, sign in enumerate(ds["sign"].values)]
     top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
     label = with_unit(f"push in {SYMBOLS.get(state, state)}", unit)
     size_axis = Axis(label, limits=(0.0, top or 1.0), ticks=None if stable else [])
     across = Axis("push", "sign", ticks=ticks, limits=(-0.6, len(push) - 0.4), group="over")
-    return Plot(layers, across, size_axis, at={_MOTION: _after(state)}, grid="")
+    return Plot(layers, across, size_axis, at={_MOTION: _after(state)})
 
 
 def _after(state: str) -> str:

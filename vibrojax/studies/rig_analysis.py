@@ -16,7 +16,7 @@ from vibrojax.io.variables import Variable
 from vibrojax.pictures.axes import in_units, margins, pretty_unit
 from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.layout import is_narrow
-from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Sheet, dots, upright
+from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Look, Plot, Sheet, dots, upright
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.settings.values import choice, warn_if_far
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
@@ -199,13 +199,14 @@ def rig_picture(ds: xr.Dataset) -> Sheet:
     tracks = [name for name in TRACKS if name in ds and np.isfinite(ds[name].values).any()]
     down, height = vertical(ds)
     founder, force = float(ds["founder_weight"]) * _unit(ds, "N")[0], _unit(ds, "N")[1]
-    mark: list[Layer] = [upright(founder, colour=IMPACT, dash="--", width=1.0)] if np.isfinite(founder) else []
+    look = Look(colour=IMPACT, dash="--", width=1.0, label=f"founder point, {founder:.3g} {force}")
+    mark: list[Layer] = [upright(founder, **look)] if np.isfinite(founder) else []
     size, below = (4.4 + 1.5 * len(tracks), 5.6), int(is_narrow(_WIDTH_OF_PAGE) and WEIGHT in ds)
     plots = []
     if WEIGHT in ds:
         across, up = (_axis(ds, name, name.replace("_", " "), 7) for name in (WEIGHT, RATE))
         cloud = dots(_drawn(ds, WEIGHT)[0], _drawn(ds, RATE)[0], colour=FAINT, size=1.5)
-        title = f"founder point at {founder:.3g} {force}" if mark else "no founder point"
+        title = "" if mark else "no founder point"
         plots.append(Plot([cloud, *mark], across, up, title, (0, 0, 1, len(tracks) or 1) if below else (0, 0)))
     for k, name in enumerate(tracks, 1 - below):
         line = Line(_drawn(ds, name)[0], height, BIT, 0.6, marker=".", size=1.0)

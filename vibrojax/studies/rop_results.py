@@ -20,7 +20,7 @@ from vibrojax.physics.units import factor
 from vibrojax.pictures.axes import in_units, margins, number, pretty_unit, scale, with_unit
 from vibrojax.pictures.colours import form_colour, value_axis, value_of
 from vibrojax.pictures.contents import FORM, POINT, law_in, named_groups
-from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets, stacked
+from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets, is_narrow, stacked
 from vibrojax.pictures.lines import Series, curves, longest_axis, row_per_facet, value_lines
 from vibrojax.pictures.plots import (
     FAINT,
@@ -59,7 +59,7 @@ _USES: dict[str, tuple[str, Look]] = {
     "above-founder": ("above the founder weight", {"marker": "+", "edge_width": 0.7, "size": 5.0}),
     "left-out": ("left out of the fit", {"marker": "x", "colour": IMPACT, "edge_width": 1.2, "size": 5.0}),
 }
-_CHOSEN: Look = {"size": 9.0, "face": "none", "edge_width": 1.2}  # a ring around the point of the form
+_CHOSEN: Look = {"size": 9.0, "face": "none", "edge_width": 1.2, "clip": False}  # a ring around the point of the form
 _MOST_GROUPS, _MOST_COLUMNS = 6, 3
 _PANEL_WIDTH, _PANEL_HEIGHT = 2.6, 2.8  # of a group [inch]
 _CLOUD = 100  # lanes of a group from which on they are a faint cloud below the curves
@@ -266,7 +266,8 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         return curves(fit, ["C"])
     if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
         fit = fit.sel({FORM: [name for name in fit[FORM].values if name not in SAME_AS_ONSET]})
-    groups, count = facets(fit, (), _MOST_GROUPS), fit["C"].size // fit.sizes[FORM]
+    most, columns = (4, 2) if is_narrow() else (_MOST_GROUPS, _MOST_COLUMNS)
+    groups, count = facets(fit, (), most), fit["C"].size // fit.sizes[FORM]
     along = "the rows of the table" if fit.attrs["along"] == POINT else fit.attrs["along"]
     limit = BLOCK_LIMIT if fit["cv_error"].notnull().any() else AIC_LIMIT
     force = float(fit.attrs.get("reference_force", np.nan))
@@ -282,7 +283,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     is_cloud = fit["data_use"].sizes["lane"] >= _CLOUD  # many lanes are small and faint, below the curves
     look = Look(size=1.6, order=1.5, colour=FAINT) if is_cloud else Look(size=4.2, order=3.0)
     looks = {use: look | about for use, (_, about) in _USES.items()}
-    wide = min(len(groups), _MOST_COLUMNS)
+    wide = min(len(groups), columns)
     plots = [
         _group_plot(group, title, divmod(k, wide), k + wide >= len(groups), looks)
         for k, (title, group) in enumerate(groups)
@@ -324,7 +325,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
             for *_, lanes in lines:
                 chosen = np.where(np.ravel(lanes["standing"]) == Standing.CHOSEN, np.ravel(lanes[name]), np.nan)
                 layers.append(dots(x.of(lanes), chosen, **_CHOSEN))
-        return Plot(layers, x.axis(shown), value_axis(value, group=name))
+        return Plot(layers, x.axis(shown), value_axis(value, group="" if name == "C" else name))
 
     keys[1].insert(0, dots(label="chosen form", **_CHOSEN))
     draws = [lambda lines: draw(lines, "C"), lambda lines: draw(lines, "evidence_against")]
@@ -342,7 +343,7 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
     masks = {name: known & (use == flag) for flag, name in flags(group["data_use"]).items() if name in _USES}
     seen = known & (relief > 0) & ~masks["left-out"]
     layers: list[Layer] = [dots(across * relief[x], rate[x], **looks[use]) for use, x in masks.items() if x.any()]
-    axes = Axis(text * is_last), Axis(with_unit("rate of penetration", unit) * (place[1] == 0), zero="no penetration")
+    axes = Axis(text * is_last), Axis(with_unit("rate of penetration", unit) * (place[1] == 0))
     if not seen.any():
         return Plot(layers, *axes, title, place, at(group))
     low, high, founder = relief[seen].min(), relief[seen].max(), float(group["founder_weight"]) / threshold
