@@ -156,7 +156,7 @@ function phasePanel(page, motion) {
 function returnsPanel(page, motion) {
   const names = Object.keys(motion.section), { shown } = page;
   if (!names.length || !motion.section[names[0]].length) return [];
-  if (!names.includes(shown.returns)) shown.returns = names.at(-1);
+  if (!names.includes(shown.returns)) shown.returns = names.includes("v2") ? "v2" : names.at(-1);
   const choice = el("select", { "aria-label": "State at the returns", "data-control": "returns",
     onchange: (event) => { shown.returns = event.target.value; page.current.draw(); } },
     ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.returns })));
@@ -222,7 +222,7 @@ function spreadText(page, motion, variable, value) {
 export function numbersOf(page, motion, pins = []) {
   const { grid, named } = page, irregular = cyclesOf(page, motion) === 0, rows = [], missing = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
   for (const variable of grid.variables.values()) {
-    if (variable.inner || variable.axes.includes("form") || grid.variables.has(variable.name.replace(/_worst$/, "")) && variable.name.endsWith("_worst")) continue;
+    if (variable.inner || ["form", "lane"].some((axis) => variable.axes.includes(axis)) || grid.variables.has(variable.name.replace(/_worst$/, "")) && variable.name.endsWith("_worst")) continue;
     const { name } = variable, worst = grid.variables.get(`${name}_worst`), ofMotion = motion?.numbers && name in motion.numbers;
     if (!page.point && variable.axes.some((axis) => apart.includes(axis))) continue;
     // An attractor without a start has a share of zero, and no motion.

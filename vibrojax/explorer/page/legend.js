@@ -1,8 +1,7 @@
 // What the colours, lines and marks of the map mean.
 import { el, explained } from "./dom.js";
 import { DASHES } from "./map.js";
-import { drawBar } from "./paper.js";
-import { entry, inkOf, numberText, prepared } from "./plots.js";
+import { barElements, entry } from "./plots.js";
 
 /** The cells of the plane that is shown. */
 export function* plane(page, cell = page.cell, left = axesOfPlane(page)) {
@@ -90,16 +89,9 @@ function extremes(page) {
 
 /** Draw the legend of what a page's map shows into its element. */
 export function drawLegend(page) {
-  const variable = coloured(page), bar = barOf(page), name = el("p", { class: "vx-barname", text: variable.label.replace("\n", " ") });
+  const variable = coloured(page), bar = barOf(page);
   const list = el("ul", {}, ...keysOf(page).map((key) => entry(key, explained(el("span", {}, `${key.text} `, el("small", { text: key.share ?? "" })), key.why))));
   if (variable.flags || !page.shown.y) page.legend.replaceChildren(list, ...(variable.flags ? [] : extremes(page)));
-  else if (!bar) {
-    name.append(`: ${shownValues(page, variable)[0] === 0 ? "0 everywhere" : "no value"} here`);
-    page.legend.replaceChildren(name, list);
-  } else {
-    const canvas = el("canvas", { class: "vx-bar", role: "img", "aria-label": `Colours of ${bar.label} from ${numberText(bar.low)} to ${numberText(bar.high)}` });
-    page.legend.replaceChildren(name, canvas, ...extremes(page), list);
-    const { context, width } = prepared(canvas);
-    drawBar(context, bar, 0, 0, width, inkOf(canvas));
-  }
+  else if (bar) page.legend.replaceChildren(...barElements(bar), ...extremes(page), list);
+  else page.legend.replaceChildren(el("p", { class: "vx-barname", text: `${variable.label.replace("\n", " ")}: ${shownValues(page, variable)[0] === 0 ? "0 everywhere" : "no value"} here` }), list);
 }

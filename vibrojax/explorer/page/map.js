@@ -1,7 +1,7 @@
 // The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
 import { drawItems } from "./figure.js";
-import { edgesOf, labelOf } from "./grid.js";
-import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, markColour, prepared } from "./plots.js";
+import { edgesOf, labelOf, placesOf, ticksOf } from "./grid.js";
+import { fillCell, framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, markColour, prepared } from "./plots.js";
 
 export const DASHES = {
   fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
@@ -57,27 +57,26 @@ export class MapView {
   axisOf(direction) {
     const { edges, values } = edgesOf(direction.column);
     const low = Math.min(edges[0], edges.at(-1)), high = Math.max(edges[0], edges.at(-1));
-    const named = direction.column.numeric ? undefined : direction.column.values.map((text, k) => [k, text]);
-    return { limits: [low, high], label: labelOf(direction.column), log: direction.column.log, edges, values, ticks: named };
+    return { limits: [low, high], label: labelOf(direction.column), log: direction.column.log, edges, values, ticks: ticksOf(direction.column) };
   }
 
   drawCells(canvas, x, y, variable, ink) {
     const across = this.axisOf(x), up = this.axisOf(y), grid = this.grid;
     const hidden = variable.name === "regime" && grid.variables.get("hidden_motion");
-    return framed(canvas, ink, across, up, (c, sx, sy, box) => {
+    return framed(canvas, ink, across, up, (c, sx, sy) => {
       for (let i = 0; i < across.values.length; i++) {
-        const x0 = Math.floor(sx(across.edges[i])), x1 = Math.floor(sx(across.edges[i + 1]));
+        const [x0, x1] = [sx(across.edges[i]), sx(across.edges[i + 1])];
         for (let j = 0; j < up.values.length; j++) {
           const cell = this.cellAt({ [x.axis.name]: i, [y.axis.name]: j });
-          const y0 = Math.floor(sy(up.edges[j])), y1 = Math.floor(sy(up.edges[j + 1]));
+          const [y0, y1] = [sy(up.edges[j]), sy(up.edges[j + 1])];
           c.fillStyle = this.colourAt(variable, cell, ink);
-          c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+          fillCell(c, x0, x1, y0, y1);
           if (hidden && grid.value("hidden_motion", cell) === 1 && Math.abs(x1 - x0) > 4)
             mark(c, "o", (x0 + x1) / 2, (y0 + y1) / 2, Math.min(1.8, Math.abs(x1 - x0) / 5), "#222222", "#FFFFFF");
         }
       }
       this.drawPatch(c, sx, sy, x, y, variable, ink);
-      this.drawRegion(c, sx, sy, box, x, y);
+      this.drawRegion(c, sx, sy, x, y);
       this.drawCurves(c, sx, sy, x, y);
     }, { grid: false });
   }
@@ -91,9 +90,8 @@ export class MapView {
     const [across, up] = [ends(x), ends(y)];
     patch.axes[x.axis.name].forEach((_, i) => patch.axes[y.axis.name].forEach((_, j) => {
       const [p, q] = x.axis.name === first ? [i, j] : [j, i];
-      const [x0, x1, y0, y1] = [sx(across[i]), sx(across[i + 1]), sy(up[j]), sy(up[j + 1])].map(Math.floor);
       c.fillStyle = this.grid.colour(variable, values[p * count + q], ink.undefined);
-      c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+      fillCell(c, sx(across[i]), sx(across[i + 1]), sy(up[j]), sy(up[j + 1]));
     }));
   }
 
@@ -112,13 +110,11 @@ export class MapView {
     return { at, value: values[index[first] * patch.axes[second].length + index[second]] };
   }
 
-  drawRegion(c, sx, sy, box, x, y) {
+  /** The border of the source's best region; it is open where the map cuts the region. */
+  drawRegion(c, sx, sy, x, y) {
     const ends = this.grid.data.region;
     if (!this.view.region || !ends || !(x.axis.name in ends) || !(y.axis.name in ends)) return;
-    // A region that goes on beyond the map is closed at its edge.
-    const inside = (way, scale, from, to) => ends[way.axis.name].map((v) => Math.max(Math.min(from, to) + 2, Math.min(Math.max(from, to) - 2, scale(v * way.column.factor))));
-    const [left, right] = inside(x, sx, box.left, box.right), [low, high] = inside(y, sy, box.top, box.bottom);
-    if (left >= right || high >= low) return;
+    const [[left, right], [low, high]] = [[x, sx], [y, sy]].map(([way, scale]) => ends[way.axis.name].map((v) => scale(v * way.column.factor)));
     for (const [colour, width] of [["#FFFFFF", 3.5], ["#222222", 1.5]]) {
       c.strokeStyle = colour;
       c.lineWidth = width;
@@ -197,8 +193,7 @@ export class MapView {
   }
 
   drawDots(canvas, x, y, variable, ink) {
-    const place = (direction) => direction.column.values.map((v) => (v === null ? NaN : v * direction.column.factor));
-    const xs = place(x), ys = place(y);
+    const xs = placesOf(x.column), ys = placesOf(y.column);
     this.dots = { xs, ys, axis: x.axis.name };
     const size = Math.max(2.2, Math.min(6, 260 / Math.sqrt(xs.length + 1)));
     const of = (direction, values) => ({ limits: limitsOf([values], 0.04), label: labelOf(direction.column) });
@@ -214,8 +209,7 @@ export class MapView {
   drawCurve(canvas, x, variable, ink) {
     const column = x.column, grid = this.grid, family = grid.data.family, flags = variable.flags;
     if (variable.inner) return this.drawReturns(canvas, x, variable, ink);
-    const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, k) => k);
-    const ys = xs.map((_, k) => {
+    const xs = placesOf(column), ys = xs.map((_, k) => {
       const cell = this.cellAt({ [x.axis.name]: k });
       return this.view.only && !this.view.only(cell) ? NaN : grid.value(variable.name, cell) * (flags ? 1 : variable.factor);
     });
@@ -225,16 +219,17 @@ export class MapView {
       ? { limits: [-0.5, known.length - 0.5], label: "", ticks: known.map((flag, k) => [k, flags[flag]]) }
       : { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") };
     this.dots = { xs, ys: rows, axis: x.axis.name };
-    const named = column.numeric ? undefined : column.values.map((text, k) => [k, text]);
-    const across = { limits: limitsOf([xs], 0.03), label: labelOf(column), log: column.log, ticks: named };
+    const across = { limits: limitsOf([xs], 0.03), label: labelOf(column), log: column.log, ticks: ticksOf(column) };
     return framed(canvas, ink, across, up, (c, sx, sy) => {
-      if (family) for (const run of family.runs) {
-        const part = run.points, colour = legible(run.colour, ink);
-        line(c, part.map((k) => xs[k]), part.map((k) => rows[k]), sx, sy, colour, run.stable === 1 ? 2.4 : 1.4, run.stable === 1 ? [] : [5, 4]);
-      } else if (!flags && column.numeric) line(c, xs, rows, sx, sy, ink.bit, 1.4);
-      const size = family ? 1.6 : Math.max(1.8, Math.min(4.5, 700 / xs.length));
-      xs.forEach((value, k) => {
-        const colour = family ? ink.ink : flags ? markColour(grid, variable, ys[k], ink) : ink.bit;
+      for (const { points, stable, colour } of family?.runs ?? []) {
+        const shade = legible(colour, ink), [first] = points;
+        line(c, points.map((k) => xs[k]), points.map((k) => rows[k]), sx, sy, shade, stable === 1 ? 2.4 : 1.4, stable === 1 ? [] : [5, 4]);
+        if (points.length === 1) mark(c, "o", sx(xs[first]), sy(rows[first]), 1.6, shade);
+      }
+      if (!family && !flags && column.numeric) line(c, xs, rows, sx, sy, ink.bit, 1.4);
+      const size = Math.max(1.8, Math.min(4.5, 700 / xs.length));
+      if (!family) xs.forEach((value, k) => {
+        const colour = flags ? markColour(grid, variable, ys[k], ink) : ink.bit;
         if (Number.isFinite(rows[k]) && rows[k] >= (flags ? 0 : -Infinity)) mark(c, "o", sx(value), sy(rows[k]), size, colour, flags ? ink.faint : null);
       });
       for (const one of family?.special ?? []) mark(c, one.shape, sx(xs[one.point]), sy(rows[one.point]), 4.5, legible(family.kinds[one.kind], ink), ink.plate);
@@ -243,20 +238,20 @@ export class MapView {
 
   /** Every stored return over an axis, in the colour of its lane's regime; families lie over them. */
   drawReturns(canvas, x, variable, ink) {
-    const { column, axis } = x, grid = this.grid, count = grid.axes.get(variable.inner).values.length, regime = grid.variables.get("regime");
+    const { column, axis } = x, grid = this.grid, count = grid.axes.get(variable.inner).values.length, regime = grid.variables.get("regime"), places = placesOf(column);
     const xs = [], ys = [], index = [];
     axis.values.forEach((_, k) => {
       for (let r = 0; r < count; r++) {
         const value = grid.value(variable.name, this.cellAt({ [axis.name]: k, [variable.inner]: r }));
         if (!Number.isFinite(value)) continue;
-        xs.push(column.numeric ? column.values[k] * column.factor : k);
+        xs.push(places[k]);
         ys.push(value * variable.factor);
         index.push(k);
       }
     });
     this.dots = { xs, ys, index, axis: axis.name };
     const { overlay } = grid.data, over = overlay?.variable === variable.name && overlay.along === axis.name ? overlay.items : [];
-    const across = { limits: limitsOf([column.numeric ? column.values.map((v) => v * column.factor) : xs], 0.03), label: labelOf(column), log: column.log };
+    const across = { limits: limitsOf([places], 0.03), label: labelOf(column), log: column.log, ticks: ticksOf(column) };
     const colours = axis.values.map((_, k) => (regime ? markColour(grid, regime, grid.value("regime", this.cellAt({ [axis.name]: k })), ink) : ink.bit));
     return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy, box) => {
       const size = Math.max(1.2, Math.min(3.2, (0.36 * (box.right - box.left)) / axis.values.length));  // neighbours do not merge

@@ -98,7 +98,6 @@ class Page {
   along(direction) { return this.variable?.axes.includes(direction.axis.name); }
 
   fillControls() {
-    if (!this.shown.x) return;
     const focus = document.activeElement?.dataset?.control;
     this.controls.replaceChildren(...controlsOf(this));
     if (focus && focus !== "") this.controls.querySelector(`[data-control="${focus}"]`)?.focus();
@@ -169,7 +168,8 @@ class Page {
   /** In place of a map: a trajectory from its beginning. */
   drawWhole() {
     this.element.querySelector(".vx-map").hidden = true;
-    this.controls.hidden = this.live.hidden = true;
+    this.controls.hidden = !this.controls.childElementCount;
+    this.live.hidden = true;
     this.figure?.draw();
     if (this.history) drawWhole(this);
     drawSigns(this.element);

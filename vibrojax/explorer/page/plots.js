@@ -103,7 +103,7 @@ export function prepared(canvas) {
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
   }
-  const context = canvas.getContext("2d");
+  const context = Object.assign(canvas.getContext("2d"), { ratio });
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   return { context, width, height };
@@ -210,6 +210,12 @@ function zoomed(canvas, ...axes) {
   });
 }
 
+/** Fill a cell between two ends on each axis, to whole pixels of the screen: at fractions of them, neighbours would leave a hairline. */
+export function fillCell(c, ...ends) {
+  const [x0, x1, y0, y1] = ends.map((end) => Math.round(end * c.ratio) / c.ratio);
+  c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+}
+
 /** A line through points; not-finite ones part it. */
 export function line(c, xs, ys, sx, sy, colour, width = 1.6, dash = []) {
   c.strokeStyle = colour;
@@ -251,26 +257,42 @@ export function mark(c, kind, x, y, size, colour, edge) {
 }
 
 /** How wide the sign of an entry of a legend is. */
-export const signWidth = ({ shape }) => ({ line: 28, scale: 60 }[shape] ?? 14);
+export const signWidth = ({ shape }) => (shape === "line" ? 28 : 14);
 
 /**
- * What stands before an entry {text, shape: "line", "patch", "scale" or a mark, colour, dash, marker: on the line, hollow, rim,
- * colours: of a scale} of a legend, 14 high at a place: as it stands in the plot.
+ * What stands before an entry {text, shape: "line", "patch" or a mark, colour, dash, marker: on the line, hollow, rim} of a
+ * legend, 14 high at a place: as it stands in the plot.
  */
 export function drawSign(c, key, left, top, ink) {
-  const { shape, colour, colours, dash, marker, hollow, size = 3 } = key, wide = signWidth(key), own = ink[colour] ?? (key.rim ? labelColour : legible)(colour, ink), y = top + 7, middle = left + wide / 2;
+  const { shape, colour, dash, marker, hollow, size = 3 } = key, wide = signWidth(key), own = ink[colour] ?? (key.rim ? labelColour : legible)(colour, ink), y = top + 7, middle = left + wide / 2;
   const spot = (kind) => mark(c, kind, middle, y, Math.max(2.4, Math.min(5.4, (4 / 3) * size)), hollow ? ink.plate : own, hollow ? own : key.rim ? ink.faint : null);
   if (shape === "line") {
     line(c, [left + 1, left + wide - 1], [y, y], (x) => x, (x) => x, own, 2, dash);
     if (marker) spot(marker);
-  } else if (shape === "scale") colours.forEach((one, k) => { c.fillStyle = one; c.fillRect(left + (k * wide) / colours.length, y - 6, wide / colours.length + 0.5, 12); });
-  else if (shape === "patch") {
+  } else if (shape === "patch") {
     c.fillStyle = colour === "hatched" ? ink.undefined : ink[colour] ?? colour;
     c.fillRect(middle - 6, y - 6, 12, 12);
     c.strokeStyle = ink.faint;
     c.lineWidth = 1;
     c.strokeRect(middle - 6, y - 6, 12, 12);
   } else spot(shape);
+}
+
+/** A bar of a quantity's colours, with arrows at the ends beyond which there are values. */
+export function drawBar(c, { low, high, log, extend, map }, left, top, width, ink) {
+  const [from, to] = [left + 22, left + width - 22];
+  map.forEach((colour, k) => { c.fillStyle = colour; c.fillRect(from + (k / map.length) * (to - from), top + 2, (to - from) / map.length + 1, 12); });
+  for (const [at, way, ends] of [[from, -1, ["min", "both"]], [to, 1, ["max", "both"]]]) {
+    if (!ends.includes(extend)) continue;
+    c.beginPath();
+    c.moveTo(at, top + 2); c.lineTo(at + way * 8, top + 8); c.lineTo(at, top + 14);
+    c.closePath();
+    c.fillStyle = way < 0 ? map[0] : map.at(-1);
+    c.fill();
+  }
+  Object.assign(c, { fillStyle: ink.ink, font: `11px ${FONT}`, textAlign: "center", textBaseline: "top" });
+  const place = scaleOf(low, high, from, to, log);
+  for (const value of ticks(low, high, width < 300 ? 3 : 6, log)) c.fillText(numberText(value, 6), place(value), top + 18);
 }
 
 /** An entry of a legend in the page: its sign, and its text or what stands for it. `drawSigns` draws it. */
@@ -280,17 +302,25 @@ export function entry(key, content = key.text) {
   return el("li", {}, sign, content);
 }
 
-/** Draw the signs of the legends in an element, in the colours of its scheme. */
+/** The bar of a quantity's colours in the page, below its name. `drawSigns` draws it. */
+export function barElements(bar) {
+  const canvas = el("canvas", { class: "vx-bar", role: "img", "aria-label": `Colours of ${bar.label} from ${numberText(bar.low)} to ${numberText(bar.high)}` });
+  return [el("p", { class: "vx-barname", text: bar.label }), Object.assign(canvas, { bar })];
+}
+
+/** Draw the signs and bars of the legends in an element, in the colours of its scheme. */
 export function drawSigns(root) {
   const ink = inkOf(root);
   for (const one of root.querySelectorAll(".vx-sign")) drawSign(prepared(one).context, one.key, 0, 0, ink);
+  for (const one of root.querySelectorAll(".vx-bar")) { const { context, width } = prepared(one); drawBar(context, one.bar, 0, 0, width, ink); }
 }
 
 let readings = null;
 
 /**
  * Have values of the plot that is being drawn read where they are pointed at: `xs`, `ys` in data coordinates; `texts`:
- * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows, or of a bar.
+ * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows, or of a bar; `low`:
+ * the lower ends of an area.
  */
 export const read = (name, xs, ys, more = {}) => { if (xs.length) readings?.push({ name, xs: numbers(xs), ys: numbers(ys), ...more }); };
 const numbers = (values) => Array.from(values, (x) => x ?? NaN);

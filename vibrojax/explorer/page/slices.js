@@ -1,7 +1,7 @@
 // Below the map: the variable along both directions through the chosen cell; of a trajectory its whole course.
 import { colourName, drawCourse, groupsOf } from "./cell.js";
 import { el } from "./dom.js";
-import { labelOf } from "./grid.js";
+import { labelOf, placesOf } from "./grid.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
 import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, markColour, read } from "./plots.js";
@@ -30,15 +30,13 @@ function drawSlice(page, figure, direction, other) {
   const at = grid.coordinateText(other.column, page.cell[other.axis.name]), title = `${variable.name.replaceAll("_", " ")} at ${at}`;
   figure.querySelector("figcaption span").textContent = title;
   canvas.setAttribute("aria-label", `${variable.label} along ${column.label} at ${at}`);
-  const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, i) => i);
-  const cells = xs.map((_, i) => ({ ...page.cell, [direction.axis.name]: i })), values = cells.map((cell) => grid.value(variable.name, cell));
+  const xs = placesOf(column), cells = xs.map((_, i) => ({ ...page.cell, [direction.axis.name]: i })), values = cells.map((cell) => grid.value(variable.name, cell));
   const known = variable.flags ? [...new Set(values)].sort((a, b) => a - b) : [];
   const ys = variable.flags ? values.map((v) => known.indexOf(v)) : values.map((v) => v * variable.factor);
   const up = variable.flags
     ? { limits: [-0.6, known.length - 0.4], label: "", ticks: known.map((flag, i) => [i, variable.flags[flag] ?? `${flag}`]) }
     : { ...limitsAndTicks(ys), label: variable.units };
-  const named = column.numeric ? undefined : column.values.map((text, i) => [i, text]);
-  const right = { limits: limitsOf([xs], 0.02), label: column.units ? `${column.symbol} [${column.units}]` : column.symbol, log: column.log, ticks: named };
+  const right = { limits: limitsOf([xs], 0.02), label: column.units ? `${column.symbol} [${column.units}]` : column.symbol, log: column.log };
   const draw = (paper, ink = inkOf(paper)) => framed(paper, ink, paper.source ? { ...right, label: labelOf(column) } : right, paper.source && !variable.flags ? { ...up, label: variable.label.replace("\n", " ") } : up, (c, sx, sy, box) => {
     const size = Math.max(1.6, Math.min(2.6, (box.right - box.left) / xs.length / 2));  // a rim would hide the colour of many
     if (!variable.flags && column.numeric) line(c, xs, ys, sx, sy, ink.faint, 1.2);
