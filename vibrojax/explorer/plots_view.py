@@ -102,7 +102,7 @@ def _is_hidden(label: str, panels: Sequence[Document]) -> bool:
         for panel, item in labelled
         for name in "xy"
     ]
-    return bool(shares) and max(shares) < LEAST_LINE and all(item["kind"] == "line" for _, item in labelled)
+    return bool(shares and max(shares) < LEAST_LINE and all(item["kind"] == "line" for _, item in labelled))
 
 
 def _as_drawn(key: Document, items: Sequence[Document]) -> Document:

@@ -1,6 +1,6 @@
 // The chosen cell: its orbit in phase planes, its time history, spectrum, returns and multipliers.
 import { EVENTS, STUCK } from "./decode.js";
-import { framed, inkOf, limitsOf, line, mark, numberText, read } from "./plots.js";
+import { framed, inkOf, limitsOf, line, mark, numberText, read, uprightLine } from "./plots.js";
 
 const COLOURED = { x1: "bit", v1: "bit", x2: "striker", v2: "striker", x3: "bit", v3: "bit", x4: "rock",
   applied_force: "faint", rock_force: "ink", impact_force: "impact", friction_force: "ink" };
@@ -181,7 +181,7 @@ export function drawCourse(canvas, course, columns, isLast) {
         if (canvas.dense) drawBand(c, course.time, ys, sx, sy, box, colourOf(ink, one.name, k)); else line(c, course.time, ys, sx, sy, colourOf(ink, one.name, k), wide ?? 0.9);
         read(forces ? one.long_name : symbolOf(one.name), course.time, ys, { joined: true });
       });
-      if (course.observed) line(c, [course.observed, course.observed], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [4, 3]);
+      if (course.observed) uprightLine(c, sx(course.observed), box, ink.ink, 1.2, [4, 3]);
     }, { left: 62 });
 }
 

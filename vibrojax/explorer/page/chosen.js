@@ -4,7 +4,7 @@ import { el, explained } from "./dom.js";
 import { interactive } from "./interact.js";
 import { stateAt } from "./machine.js";
 import { csvOf, download, fileName } from "./paper.js";
-import { drawSigns, entry, inkOf, line, mark, numberText, prepared } from "./plots.js";
+import { drawSigns, entry, inkOf, mark, numberText, prepared, uprightLine } from "./plots.js";
 
 const EVENT_KEYS = { 1: ["stick", "s"], 2: ["slip", "^"], 3: ["impact", "D"] };
 const MASS_KEYS = [["x1", "bit", "bit"], ["x2", "striker", "striker"], ["x3", "bit", "bit"], ["x4", "hole", "rock"]];
@@ -83,7 +83,7 @@ function panel(page, title, draw, about, { extra = "", more = [], at, table, key
     if (!at || !frame || time === null) return;
     const { context: c } = prepared(over[0]), { box } = frame, ink = inkOf(canvas);
     for (const [x, y, colour] of at(time)) {
-      if (y === null) line(c, [x, x], [frame.y.inverse(box.bottom), frame.y.inverse(box.top)], frame.x, frame.y, ink.ink, 1.2);
+      if (y === null) uprightLine(c, frame.x(x), box, ink.ink);
       else mark(c, "o", frame.x(x), frame.y(y), 5, ink[colour] ?? colour, ink.plate);
     }
   };

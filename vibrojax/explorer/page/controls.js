@@ -34,8 +34,8 @@ function namer(along, most) {
   };
 }
 
-function directionControls(page, make) {
-  const { shown } = page, along = page.directions.filter((one) => page.along(one)), x = page.direction(shown.x), name = namer(along, page.element.clientWidth < 480 ? 16 : 26);
+function directionControls(page, make, most) {
+  const { shown } = page, along = page.directions.filter((one) => page.along(one)), x = page.direction(shown.x), name = namer(along, most);
   if (along.length < 2) return [];
   const listed = (some) => some.map((one) => [one.id, name(one)]);
   const found = [make.select("x", "To the right", listed(along), shown.x, (value) => page.show({ x: value }))];
@@ -106,11 +106,13 @@ function overControls(page, make) {
 export function controlsOf(page) {
   const make = maker(page.id), variables = [...page.grid.variables.values()].map((one) => [one.name, one.name.replaceAll("_", " ")]);
   if (!page.shown.x) return page.facets().filter((name) => name === "start").map((name) => facetControl(page, make, name));
-  return [
+  const controls = (most) => [
     make.select("variable", "Variable", variables, page.shown.variable, (value) => page.show({ variable: value })),
-    ...directionControls(page, make),
+    ...directionControls(page, make, most),
     ...page.facets().map((facet) => facetControl(page, make, facet)),
     ...amongControl(page, make),
     ...overControls(page, make),
   ];
+  const all = controls(26);
+  return all.length > 4 && page.element.clientWidth < 480 ? controls(16) : all;  // on a phone, many stand in three columns
 }

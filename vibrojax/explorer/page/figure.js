@@ -3,7 +3,7 @@ import { unpack } from "./decode.js";
 import { el, explained } from "./dom.js";
 import { placesOf } from "./grid.js";
 import { interactive, readingAt } from "./interact.js";
-import { barElements, entry, fillCell, FONT, framed, inkOf, legible, line, mark, numberText, read } from "./plots.js";
+import { barElements, entry, fillCell, FONT, framed, inkOf, legible, levelLine, line, mark, numberText, read, uprightLine } from "./plots.js";
 
 /** The colour of signs in a legend that stand for marks of any colour. */
 const INK = "#222222";
@@ -13,7 +13,8 @@ const POINT = 4 / 3;
 
 /** Draw items of a description, and have their values read by the last key that looks the same; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink, keys = []) {
-  const nameOf = (item, colour, ...shapes) => item.label || (keys.findLast((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
+  const alike = (colour, ...shapes) => keys.findLast((key) => key.colour === colour && (shapes.includes(key.shape) || (!shapes.length && colour !== INK)));
+  const nameOf = (item, colour, ...shapes) => item.label || ((alike(colour, ...shapes) ?? alike(colour))?.text ?? "");
   const labels = new Set(keys.filter(({ shape }) => shape !== "patch").map((key) => key.colour));
   for (const item of items) {
     const { x, y } = item, colour = (text) => legible(text, ink);
@@ -26,7 +27,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
         if (value === null || y[k] === null) return;
         const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 || labels.has(own) ? colour(own) : own, size = POINT * Math.max(1.2, sizes[k % sizes.length] ?? 2);
         if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, item.hollow === "none" ? "transparent" : ink.plate, colour(own));
-        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, faint && shade === own ? ink.faint : size > 2.6 ? ink.plate : null);
+        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(shade) !== shade || (size > 2.6 && faint && shade === own) ? ink.faint : size > 2.6 ? ink.plate : null);
       });
       read(nameOf(item, colours[0], item.shape, "line"), x, y);
     } else if (item.kind === "area") {
@@ -79,13 +80,13 @@ function keysIn({ items }, keys) {
 export class Figure {
   constructor(page, data) {
     this.page = page;
-    this.plots = data.plots.map((plot) => this.plot(plot, data.keys));
+    const shared = data.bars.filter((_, k) => data.plots.filter(({ bar }) => bar === k).length > 1);
+    this.plots = data.plots.map((plot) => this.plot(plot, data, shared));
     const legend = el("ul", { class: "vx-figurekeys" }, ...data.keys.map((key) => entry(key, explained(el("span", { text: key.text }), page.data.meanings?.[key.text.split(" ")[0]]))));
-    const bars = data.bars.flatMap(barElements);
     const images = data.images.filter((one) => one.data.startsWith("data:image/png;base64,"))
       .map((one) => el("figure", { class: "vx-panel vx-wideplot" }, el("img", { src: one.data, alt: one.title || page.data.title })));
     const tracks = this.plots.filter(({ track }) => track), together = tracks.length ? [el("div", { class: "vx-tracks" }, ...tracks.map((one) => one.figure))] : [];
-    this.element = el("div", { class: "vx-figure" }, ...bars, ...(data.keys.length ? [legend] : []),
+    this.element = el("div", { class: "vx-figure" }, ...shared.flatMap(barElements), ...(data.keys.length ? [legend] : []),
       el("div", { class: "vx-plots" }, ...this.plots.filter(({ track }) => !track).map((one) => one.figure), ...together, ...images), ...(data.note ? [el("p", { class: "vx-notes", text: data.note })] : []));
   }
 
@@ -94,18 +95,19 @@ export class Figure {
     await Promise.all(items.map(async (item) => { item.levels = await unpack(item.data); }));
   }
 
-  plot(plot, keys) {
+  plot(plot, { keys, bars }, shared) {
+    const bar = bars[plot.bar];
     const words = plot.title || [plot.y.label, plot.x.label].filter(Boolean).join(" over ").replace(/ \[[^\]]*\]/g, "") || "plot";
     const canvas = el("canvas", { role: "img", "aria-label": words });
     const draw = (paper) => this.paint(paper, plot), linked = plot.x.direction || plot.y.direction || Object.keys(plot.at).length || this.page.data.map === false;
     const tools = interactive(canvas, draw, {
-      about: () => this.page.about(words, { keys: keysIn(plot, keys), bar: this.page.data.figure.bars[plot.bar], name: words, notes: [this.page.data.title, this.page.data.common, this.page.data.figure.note] }),
+      about: () => this.page.about(words, { keys: keysIn(plot, keys), bar, name: words, notes: [this.page.data.title, this.page.data.common, this.page.data.figure.note] }),
       click: linked ? (place) => this.pick(canvas, plot, place) : undefined,
       zoomed: () => this.page.tell(),
     });
     this.page.keepZoom(canvas, tools);
     const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${linked ? " vx-linked" : ""}`;
-    const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, tools.band);
+    const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, ...(bar && !shared.includes(bar) ? barElements(bar) : []), tools.band);
     // Of panels at other values than those of the controls, the page shows none.
     const names = Object.keys(plot.at), here = () => !this.page.shown.x && names.length > 0 && names.every((name) => plot.at[name] === this.page.cell[name]);
     const hides = () => this.page.facets().some((name) => name in plot.at && plot.at[name] !== this.page.cell[name]);
@@ -119,8 +121,8 @@ export class Figure {
       const bars = plot.items.some(({ at }) => at), here = !canvas.source && Object.entries(plot.at).every(([name, k]) => page.cell[name] === k);  // no cursor in a file, and beside the chosen cell
       const [x, y] = here ? [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)] : [];
       const cursor = () => {
-        if (x !== undefined) line(c, [x, x], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [3, 3]);
-        if (y !== undefined) line(c, [sx.inverse(box.left), sx.inverse(box.right)], [y, y], sx, sy, ink.ink, 1.2, [3, 3]);
+        if (x !== undefined) uprightLine(c, sx(x), box, ink.ink, 1.2, [3, 3]);
+        if (y !== undefined) levelLine(c, sy(y), box, ink.ink, 1.2, [3, 3]);
       };
       if (bars) cursor();  // below bars and their numbers
       drawItems(c, plot.items, sx, sy, ink, page.data.figure.keys);

@@ -54,7 +54,7 @@ function tableOf({ readings = [], frame }) {
   if (names) columns.name = all((one) => one.name);
   columns[name(frame?.xAxis, "x")] = all((one, k) => nameAt(frame.xAxis, one.xs[k]) ?? one.xs[k]);
   columns[name(frame?.yAxis, "y")] = all((one, k) => nameAt(frame.yAxis, one.ys[k]) ?? one.ys[k]);
-  if (texts) columns.value = all((one, k) => one.texts?.[k] ?? "");
+  if (texts) columns.value = all((one, k) => (one.texts?.[k] ?? "").replaceAll("−", "-"));
   return columns;
 }
 
@@ -94,7 +94,7 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     tip.hidden = ring.hidden = !found;
     if (!found) return;
     const { x: sx, y: sy, xAxis, yAxis } = canvas.frame, { series, k } = found, [u, v] = [sx(found.x) + canvas.offsetLeft, sy(found.y) + canvas.offsetTop];
-    const up = readText(series.name ? { ...yAxis, said: (yAxis.said ?? yAxis.label ?? "").replace(/^[^[]*(?=\[|$)/, " ") } : yAxis, series.low ? found.y - series.low[k] : found.y), text = series.low ? null : series.texts?.[k];
+    const up = readText(series.name ? { ...yAxis, said: (yAxis.said ?? yAxis.label ?? "").replace(/^[^[]*(?=\[)/, " ") } : yAxis, series.low ? found.y - series.low[k] : found.y), text = series.low ? null : series.texts?.[k];
     canvas.parentNode.append(ring, tip);
     tip.replaceChildren(...[[series.name, text ?? up].filter(Boolean).join(": "), ...(text && series.edges ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
     ring.style.cssText = `left:${u}px;top:${v}px`;

@@ -1,7 +1,7 @@
 // The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
 import { drawItems } from "./figure.js";
 import { edgesOf, labelOf, placesOf, ticksOf } from "./grid.js";
-import { fillCell, framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, markColour, prepared } from "./plots.js";
+import { fillCell, framed, inkOf, legible, levelLine, limitsAndTicks, limitsOf, line, mark, markColour, prepared, uprightLine } from "./plots.js";
 
 export const DASHES = {
   fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
@@ -115,11 +115,8 @@ export class MapView {
     const ends = this.grid.data.region;
     if (!this.view.region || !ends || !(x.axis.name in ends) || !(y.axis.name in ends)) return;
     const [[left, right], [low, high]] = [[x, sx], [y, sy]].map(([way, scale]) => ends[way.axis.name].map((v) => scale(v * way.column.factor)));
-    for (const [colour, width] of [["#FFFFFF", 3.5], ["#222222", 1.5]]) {
-      c.strokeStyle = colour;
-      c.lineWidth = width;
-      c.strokeRect(left, high, right - left, low - high);
-    }
+    for (const [strokeStyle, lineWidth] of [["#FFFFFF", 3.5], ["#222222", 1.5]])
+      Object.assign(c, { strokeStyle, lineWidth }).strokeRect(left, high, right - left, low - high);
   }
 
   drawCurves(c, sx, sy, x, y) {
@@ -316,43 +313,22 @@ export class MapView {
         const [x0, x1] = ends(view.x, frame.x), [y0, y1] = ends(view.y, frame.y);
         const [left, top, wide, high] = [Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)];
         if (strong) {
-          c.strokeStyle = "rgba(128,128,128,0.75)";
-          c.lineWidth = 1;
-          c.setLineDash([3, 3]);
-          c.beginPath();
-          c.moveTo(left + wide / 2, frame.box.top); c.lineTo(left + wide / 2, frame.box.bottom);
-          c.moveTo(frame.box.left, top + high / 2); c.lineTo(frame.box.right, top + high / 2);
-          c.stroke();
-          c.setLineDash([]);
+          uprightLine(c, left + wide / 2, box, "rgba(128,128,128,0.75)", 1, [3, 3]);
+          levelLine(c, top + high / 2, box, "rgba(128,128,128,0.75)", 1, [3, 3]);
         }
-        for (const [colour, width, more] of strong ? [["#FFFFFF", 4, 2], ["#111111", 2, 2]] : [["#FFFFFF", 2.5, 1], ["#111111", 1, 1]]) {
-          c.strokeStyle = colour;
-          c.lineWidth = width;
-          c.strokeRect(left - more, top - more, wide + 2 * more, high + 2 * more);
-        }
+        for (const [strokeStyle, lineWidth, more] of strong ? [["#FFFFFF", 4, 2], ["#111111", 2, 2]] : [["#FFFFFF", 2.5, 1], ["#111111", 1, 1]])
+          Object.assign(c, { strokeStyle, lineWidth }).strokeRect(left - more, top - more, wide + 2 * more, high + 2 * more);
       } else {
         const k = cell[this.dots.axis], { index } = this.dots;
         if (index) {
           const of = index.flatMap((one, i) => (one === k ? [i] : []));
           if (!of.length) continue;
-          const at = Math.round(frame.x(this.dots.xs[of[0]])) + 0.5;
-          c.strokeStyle = this.ink.ink;
-          c.lineWidth = strong ? 1.4 : 0.8;
-          c.setLineDash(strong ? [] : [3, 3]);
-          c.beginPath();
-          c.moveTo(at, frame.box.top); c.lineTo(at, frame.box.bottom);
-          c.stroke();
-          c.setLineDash([]);
+          uprightLine(c, Math.round(frame.x(this.dots.xs[of[0]])) + 0.5, box, this.ink.ink, strong ? 1.4 : 0.8, strong ? [] : [3, 3]);
           continue;
         }
         c.beginPath();
         c.arc(frame.x(this.dots.xs[k]), frame.y(this.dots.ys[k]), strong ? 8 : 6, 0, 2 * Math.PI);
-        c.strokeStyle = this.ink.plate;
-        c.lineWidth = strong ? 4.5 : 3;
-        c.stroke();
-        c.strokeStyle = this.ink.ink;
-        c.lineWidth = strong ? 2.2 : 1.2;
-        c.stroke();
+        for (const [strokeStyle, lineWidth] of [[this.ink.plate, strong ? 4.5 : 3], [this.ink.ink, strong ? 2.2 : 1.2]]) Object.assign(c, { strokeStyle, lineWidth }).stroke();
       }
     }
     c.restore();

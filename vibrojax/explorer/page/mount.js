@@ -343,16 +343,19 @@ class Page {
 
   /** What a file of a plot says besides the plot: what it is of, and a name that tells variables and cells apart. */
   about(title, more = {}) {
-    const { point, data, grid, cell, named } = this, said = grid.cellText(cell, named);
-    return { title, notes: [[point?.title || said, data.common].filter(Boolean).join(", ")], name: [title, point?.title ?? grid.nameText(cell, named)].filter(Boolean).join("_"), ...more };
+    const { point, grid, cell, named } = this;
+    return { title, notes: [this.withCommon(point?.title || grid.cellText(cell, named))], name: [title, point?.title ?? grid.nameText(cell, named)].filter(Boolean).join("_"), ...more };
   }
 
+  /** A text, and the values that are the same everywhere. */
+  withCommon(text) { return [text, this.data.common].filter(Boolean).join(", "); }
+
   /** The values that are the same over a plot along some axes. */
-  notesAt(along) { return [[this.grid.cellText(this.cell, this.named.filter((name) => !along.includes(name))), this.data.common].filter(Boolean).join(", ")]; }
+  notesAt(along) { return [this.withCommon(this.grid.cellText(this.cell, this.named.filter((name) => !along.includes(name))))]; }
 
   aboutMap() {
     const { variable, grid, cell, besideMap } = this, only = this.element.querySelector("[data-control='only']")?.selectedOptions[0].text;
-    const notes = [[grid.cellText(cell, besideMap), this.data.common].filter(Boolean).join(", "), this.among ? `shown: ${only}` : ""];
+    const notes = [this.withCommon(grid.cellText(cell, besideMap)), this.among ? `shown: ${only}` : ""];
     return { title: variable.label.replace("\n", " ").replace(/ \[.*/, ""), notes, name: [variable.name, grid.nameText(cell, besideMap), this.among ? only : ""].filter(Boolean).join("_"), keys: keysOf(this), bar: barOf(this) };
   }
 

@@ -57,7 +57,7 @@ export function numberText(value, digits = 4) {
   const size = Math.abs(value);
   const text = size !== 0 && (size < 1e-3 || size >= 1e5)
     ? value.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(Number(value.toPrecision(digits)));
-  return text.replace("-", "−").replace("e+", "e");
+  return text.replaceAll("-", "−").replace("e+", "e");
 }
 
 /** Round values between two limits, about `count` of them. */
@@ -233,6 +233,12 @@ export function line(c, xs, ys, sx, sy, colour, width = 1.6, dash = []) {
   c.setLineDash([]);
 }
 
+const same = (pixel) => pixel;
+
+/** A line through a frame at a pixel: from its top to its bottom, or from its left to its right. */
+export const uprightLine = (c, x, { top, bottom }, colour, width = 1.2, dash = []) => line(c, [x, x], [top, bottom], same, same, colour, width, dash);
+export const levelLine = (c, y, { left, right }, colour, width = 1.2, dash = []) => line(c, [left, right], [y, y], same, same, colour, width, dash);
+
 const AROUND = (count, ...radii) => Array.from({ length: count * radii.length }, (_, k) => [radii[k % radii.length], (2 * Math.PI * k) / (count * radii.length)])
   .map(([radius, angle]) => [radius * Math.sin(angle), -radius * Math.cos(angle)]);
 
@@ -267,7 +273,7 @@ export function drawSign(c, key, left, top, ink) {
   const { shape, colour, dash, marker, hollow, size = 3 } = key, wide = signWidth(key), own = ink[colour] ?? (key.rim ? labelColour : legible)(colour, ink), y = top + 7, middle = left + wide / 2;
   const spot = (kind) => mark(c, kind, middle, y, Math.max(2.4, Math.min(5.4, (4 / 3) * size)), hollow ? ink.plate : own, hollow ? own : key.rim ? ink.faint : null);
   if (shape === "line") {
-    line(c, [left + 1, left + wide - 1], [y, y], (x) => x, (x) => x, own, 2, dash);
+    levelLine(c, y, { left: left + 1, right: left + wide - 1 }, own, 2, dash);
     if (marker) spot(marker);
   } else if (shape === "patch") {
     c.fillStyle = colour === "hatched" ? ink.undefined : ink[colour] ?? colour;
@@ -292,7 +298,7 @@ export function drawBar(c, { low, high, log, extend, map }, left, top, width, in
   }
   Object.assign(c, { fillStyle: ink.ink, font: `11px ${FONT}`, textAlign: "center", textBaseline: "top" });
   const place = scaleOf(low, high, from, to, log);
-  for (const value of ticks(low, high, width < 300 ? 3 : 6, log)) c.fillText(numberText(value, 6), place(value), top + 18);
+  for (const value of fewTicks({ limits: [low, high], log }, width < 300 ? 3 : 6)) c.fillText(numberText(value, 6), place(value), top + 18);
 }
 
 /** An entry of a legend in the page: its sign, and its text or what stands for it. `drawSigns` draws it. */

@@ -4,7 +4,7 @@ import { el } from "./dom.js";
 import { labelOf, placesOf } from "./grid.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
-import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, markColour, read } from "./plots.js";
+import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, markColour, read, uprightLine } from "./plots.js";
 
 /** Draw the slices of a page's map into its element. */
 export function drawSlices(page) {
@@ -44,15 +44,7 @@ function drawSlice(page, figure, direction, other) {
     xs.forEach((value, i) => {
       if (Number.isFinite(ys[i])) mark(c, "o", sx(value), sy(ys[i]), size, markColour(grid, variable, values[i], ink), size > 2.2 ? ink.faint : null);
     });
-    if (paper.source) return;  // a file shows no cursor
-    const here = sx(xs[page.cell[direction.axis.name]]);
-    c.strokeStyle = ink.ink;
-    c.setLineDash([3, 3]);
-    c.beginPath();
-    c.moveTo(here, box.top);
-    c.lineTo(here, box.bottom);
-    c.stroke();
-    c.setLineDash([]);
+    if (!paper.source) uprightLine(c, sx(xs[page.cell[direction.axis.name]]), box, ink.ink, 1.2, [3, 3]);  // a file shows no cursor
   }, { empty: !ys.some(Number.isFinite) });
   const click = ([px]) => {
     const { frame } = canvas;
