@@ -3,7 +3,7 @@ import { unpack } from "./decode.js";
 import { el, explained } from "./dom.js";
 import { placesOf } from "./grid.js";
 import { interactive, readingAt } from "./interact.js";
-import { barElements, entry, fillCell, FONT, framed, inkOf, legible, levelLine, line, mark, numberText, read, uprightLine } from "./plots.js";
+import { barElements, entry, fillCell, FONT, framed, inkOf, leastOf, legible, levelLine, line, mark, numberText, read, uprightLine } from "./plots.js";
 
 /** The colour of signs in a legend that stand for marks of any colour. */
 const INK = "#222222";
@@ -150,7 +150,7 @@ export class Figure {
       if (way) placesOf(way.column).forEach((value, k) => { const all = (squares[way.axis.name] ??= []); all[k] = (all[k] ?? 0) + (frame[name](value) - pixel) ** 2; });
     }
     if (!Object.keys({ ...squares, ...plot.at }).length) return;
-    for (const [name, all] of Object.entries(squares)) cell[name] = all.reduce((best, square, k) => (square < all[best] || Number.isNaN(all[best]) ? k : best), 0);
+    for (const [name, all] of Object.entries(squares)) cell[name] = Math.max(0, leastOf(all));
     page.pick(cell);
   }
 

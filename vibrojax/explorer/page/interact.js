@@ -1,7 +1,7 @@
 // What a plot offers besides being seen: its values, a box to zoom into, panning, pinching, reset, and files of it.
 import { el, placeIn } from "./dom.js";
 import { csvOf, download, fileName, picture } from "./paper.js";
-import { nameAt, readText } from "./plots.js";
+import { distance, nameAt, nearestOn, readText } from "./plots.js";
 
 const LEAST_DRAG = 6, NEAR = 26, DOUBLE_CLICK = 260;
 
@@ -16,7 +16,7 @@ function limitsAt(scale, ends, log, factor, around, shift = 0) {
 export function readingAt({ frame, readings = [] }, [px, py]) {
   let found = null, least = NEAR;
   const offer = (series, k, u, v) => {
-    const away = Math.hypot(u - px, v - py);
+    const away = distance([u, v], [px, py]);
     if (away < least) { least = away; found = { series, k, x: series.joined ? frame.x.inverse(u) : series.xs[k], y: series.joined ? frame.y.inverse(v) : series.ys[k] }; }
   };
   for (const series of readings) {
@@ -25,9 +25,8 @@ export function readingAt({ frame, readings = [] }, [px, py]) {
       const [u, v] = [frame.x(x), frame.y(series.ys[k])];
       if (!Number.isFinite(u + v)) return;
       if (!series.joined || !k) { offer(series, k, u, v); return; }
-      const [a, b] = [frame.x(series.xs[k - 1]), frame.y(series.ys[k - 1])], [du, dv] = [u - a, v - b];
-      const share = Math.max(0, Math.min(1, ((px - a) * du + (py - b) * dv) / (du * du + dv * dv || 1)));
-      if (Number.isFinite(a + b)) offer(series, k, a + share * du, b + share * dv);
+      const before = [frame.x(series.xs[k - 1]), frame.y(series.ys[k - 1])];
+      if (before.every(Number.isFinite)) offer(series, k, ...nearestOn([px, py], before, [u, v]));
     });
   }
   const inside = (edges, value) => edges.findIndex((edge, k) => k > 0 && (value - edges[k - 1]) * (value - edge) <= 0) - 1;
@@ -86,7 +85,7 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
   const place = (event) => placeIn(canvas, event);
   const isInside = ([x, y], { left, right, top, bottom }) => x > left - 1 && x < right + 1 && y > top - 1 && y < bottom + 1;
   const inside = ([x, y], { box }) => [Math.max(box.left, Math.min(box.right, x)), Math.max(box.top, Math.min(box.bottom, y))];
-  const middleOf = ([a, b]) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart = ([a, b]) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+  const middleOf = ([a, b]) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
 
   /** Say what is read at a place of the plot; null: nothing. */
   function tell(found) {
@@ -134,11 +133,11 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     if (pinched) {
       const ends = [...touches.values()], [was, is] = [middleOf(pinched.ends), middleOf(ends)];
       dragged = true;
-      scaled(pinched.frame, apart(ends) / (apart(pinched.ends) || 1), was, [is[0] - was[0], is[1] - was[1]]);
+      scaled(pinched.frame, distance(...ends) / (distance(...pinched.ends) || 1), was, [is[0] - was[0], is[1] - was[1]]);
       return;
     }
     if (!from) return;
-    if (!dragged && Math.hypot(to[0] - from[0], to[1] - from[1]) < LEAST_DRAG) return;
+    if (!dragged && distance(from, to) < LEAST_DRAG) return;
     if (!dragged) over.setPointerCapture(event.pointerId);
     dragged = true;
     if (panned) scaled(panned, 1, [], [to[0] - from[0], to[1] - from[1]]);

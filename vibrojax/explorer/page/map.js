@@ -1,18 +1,12 @@
 // The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
 import { drawItems } from "./figure.js";
 import { edgesOf, labelOf, placesOf, ticksOf } from "./grid.js";
-import { fillCell, framed, inkOf, legible, levelLine, limitsAndTicks, limitsOf, line, mark, markColour, prepared, uprightLine } from "./plots.js";
+import { fillCell, framed, inkOf, distance, leastOf, legible, levelLine, limitsAndTicks, limitsOf, line, mark, markColour, nearestOn, prepared, uprightLine } from "./plots.js";
 
 export const DASHES = {
   fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
   basin: [5, 4], "not-settled": [2, 2],
 };
-
-/** How far a place is from the straight line between two others. */
-function distanceTo([px, py], [ax, ay], [bx, by]) {
-  const [dx, dy] = [bx - ax, by - ay], share = Math.max(0, Math.min(1, ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy || 1)));
-  return Math.hypot(px - ax - share * dx, py - ay - share * dy);
-}
 
 /** The map's view: draws, says which cell is at a place, and where a cell is. */
 export class MapView {
@@ -120,45 +114,45 @@ export class MapView {
   }
 
   drawCurves(c, sx, sy, x, y) {
-    if (!this.view.borders || !this.grid.data.curves) return;
     const { curves } = this.grid.data;
-    for (const curve of curves.list) {
-      if (!(x.axis.name in curve.points) || !(y.axis.name in curve.points) || !this.onPlane(curve)) continue;
+    for (const curve of this.curves) {
       const xs = curve.points[x.axis.name].map((v) => v * x.column.factor), ys = curve.points[y.axis.name].map((v) => v * y.column.factor);
       line(c, xs, ys, sx, sy, "#FFFFFF", 3.6);
       line(c, xs, ys, sx, sy, curves.colours[curve.kind] ?? "#222222", 1.8, DASHES[curve.kind] ?? []);
     }
-    for (const corner of this.corners()) {
+    for (const corner of this.corners) {
       const place = [x, y].map((way) => corner.point[way.axis.name] * way.column.factor);
       mark(c, "s", sx(place[0]), sy(place[1]), 3.2, "#FFFFFF", "#222222");
     }
   }
 
-  /** The points of codimension two on the plane that is shown. */
-  corners() {
-    const { curves } = this.grid.data, { x, y, borders } = this.view;
-    if (!borders || !curves || !y) return [];
-    return curves.corners.filter((one) => x.axis.name in one.point && y.axis.name in one.point && this.onPlane(one));
+  /** What of the borders or curves is on the plane that is shown: of its points as the function gives them. */
+  onMap(list, pointsOf) {
+    const { x, y, borders } = this.view;
+    return borders && y && x.column === x.axis ? (list ?? []).filter((one) => [x, y].every((way) => way.axis.name in pointsOf(one)) && this.onPlane(one)) : [];
   }
+
+  get curves() { return this.onMap(this.grid.data.curves?.list, (one) => one.points); }
+
+  /** The points of codimension two. */
+  get corners() { return this.onMap(this.grid.data.curves?.corners, (one) => one.point); }
 
   /** The kind of the border within some pixels of a place, empty where there is none. */
   borderAt(place) {
-    const { frame, view } = this, { x, y } = view, { curves } = this.grid.data;
-    if (!place || !frame || !view.borders || !curves || !y || x.column !== x.axis) return "";
-    const near = curves.list.filter((curve) => this.onPlane(curve) && x.axis.name in curve.points && y.axis.name in curve.points).find(({ points }) => {
+    const { frame, view: { x, y } } = this, curves = place && frame ? this.curves : [];
+    const near = curves.find(({ points }) => {
       const [us, vs] = [[x, frame.x], [y, frame.y]].map(([way, scale]) => points[way.axis.name].map((v) => scale(v * way.column.factor)));
-      return us.some((u, k) => k && distanceTo(place, [us[k - 1], vs[k - 1]], [u, vs[k]]) < 6);
+      return us.some((u, k) => k && distance(place, nearestOn(place, [us[k - 1], vs[k - 1]], [u, vs[k]])) < 6);
     });
     return near?.kind ?? "";
   }
 
   /** The names of the points of codimension two within some pixels of a place, or within a cell. */
   namesAt(place, cell) {
-    const { frame, view } = this, { x, y } = view;
-    if (!frame || !y || x.column !== x.axis) return [];
-    const near = this.corners().filter(({ point }) => {
+    const { frame, view: { x, y } } = this;
+    const near = !frame ? [] : this.corners.filter(({ point }) => {
       const [u, v] = [x, y].map((way) => point[way.axis.name] * way.column.factor);
-      if (place) return Math.hypot(frame.x(u) - place[0], frame.y(v) - place[1]) < 9;
+      if (place) return distance(place, [frame.x(u), frame.y(v)]) < 9;
       return [[x, u], [y, v]].every(([way, value]) => {
         const { edges } = edgesOf(way.column), k = cell[way.axis.name];
         return (value - edges[k]) * (value - edges[k + 1]) <= 0;
@@ -233,6 +227,12 @@ export class MapView {
     }, { empty: !ys.some(Number.isFinite) });
   }
 
+  /** The orbits that were followed, over a diagram of returns. */
+  get over() {
+    const { overlay } = this.grid.data, { x, variable } = this.view;
+    return overlay?.variable === variable.name && overlay.along === x.axis.name ? overlay.items : [];
+  }
+
   /** Every stored return over an axis, in the colour of its lane's regime; families lie over them. */
   drawReturns(canvas, x, variable, ink) {
     const { column, axis } = x, grid = this.grid, count = grid.axes.get(variable.inner).values.length, regime = grid.variables.get("regime"), places = placesOf(column);
@@ -247,10 +247,10 @@ export class MapView {
       }
     });
     this.dots = { xs, ys, index, axis: axis.name };
-    const { overlay } = grid.data, over = overlay?.variable === variable.name && overlay.along === axis.name ? overlay.items : [];
+    const over = this.over, heights = over.flatMap((item) => item.y ?? []).filter((y) => y !== null);
     const across = { limits: limitsOf([places], 0.03), label: labelOf(column), log: column.log, ticks: ticksOf(column) };
     const colours = axis.values.map((_, k) => (regime ? markColour(grid, regime, grid.value("regime", this.cellAt({ [axis.name]: k })), ink) : ink.bit));
-    return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy, box) => {
+    return framed(canvas, ink, across, { ...limitsAndTicks([...ys, ...heights]), label: variable.label.replace("\n", " ") }, (c, sx, sy, box) => {
       const size = Math.max(1.2, Math.min(3.2, (0.36 * (box.right - box.left)) / axis.values.length));  // neighbours do not merge
       const rim = xs.length < 300 ? ink.faint : null;  // rims of many would hide their colours
       xs.forEach((value, k) => mark(c, "o", sx(value), sy(ys[k]), size, colours[index[k]], rim));
@@ -270,11 +270,7 @@ export class MapView {
       };
       return this.cellAt({ [view.x.axis.name]: index(view.x, frame.x.inverse(px)), [view.y.axis.name]: index(view.y, frame.y.inverse(py)) });
     }
-    let best = -1, least = Infinity;
-    this.dots.xs.forEach((value, k) => {
-      const distance = Math.hypot(frame.x(value) - px, frame.y(this.dots.ys[k]) - py);
-      if (distance < least) { least = distance; best = k; }
-    });
+    const best = leastOf(this.dots.xs.map((value, k) => distance([px, py], [frame.x(value), frame.y(this.dots.ys[k])])));
     return best < 0 ? null : this.cellAt({ [this.dots.axis]: this.dots.index?.[best] ?? best });
   }
 
@@ -288,13 +284,12 @@ export class MapView {
     }
     if (!y) return this.cellAt({ [x.axis.name]: step(x.axis, dx + dy) });
     const { frame, dots } = this, from = cell[dots.axis], [fx, fy] = [frame.x(dots.xs[from]), frame.y(dots.ys[from])];
-    let best = from, least = Infinity;  // the nearest dot within a quarter turn of the way
-    dots.xs.forEach((value, k) => {
+    const best = leastOf(dots.xs.map((value, k) => {  // the nearest dot within a quarter turn of the way
       const [vx, vy] = [frame.x(value) - fx, fy - frame.y(dots.ys[k])];
       const along = vx * Math.sign(dx) + vy * Math.sign(dy), aside = Math.abs(dx ? vy : vx);
-      if (k !== from && along > 0 && aside <= along && along + 2 * aside < least) { least = along + 2 * aside; best = k; }
-    });
-    return this.cellAt({ [dots.axis]: best });
+      return along > 0 && aside <= along ? along + 2 * aside : NaN;
+    }));
+    return this.cellAt({ [dots.axis]: best < 0 ? from : best });
   }
 
   /** Where a cell is drawn: [left, top, width, height], or a dot's [x, y]. */

@@ -96,6 +96,17 @@ export function scaleOf(low, high, from, to, log = false) {
   return scale;
 }
 
+/** The number of the least of some values, -1 without one. */
+export const leastOf = (values) => values.reduce((best, value, k) => (value < (values[best] ?? Infinity) ? k : best), -1);
+
+export const distance = ([x, y], [u, v]) => Math.hypot(u - x, v - y);
+
+/** The place on the straight line from one place to another that is nearest to a third. */
+export function nearestOn([px, py], [ax, ay], [bx, by]) {
+  const [dx, dy] = [bx - ax, by - ay], share = Math.max(0, Math.min(1, ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy || 1)));
+  return [ax + share * dx, ay + share * dy];
+}
+
 /** The canvas made as large as it is shown, and its context in CSS pixels. */
 export function prepared(canvas) {
   const ratio = canvas.ratio ?? (window.devicePixelRatio || 1), { width, height } = canvas.getBoundingClientRect();

@@ -4,7 +4,7 @@ import { el } from "./dom.js";
 import { labelOf, placesOf } from "./grid.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
-import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, markColour, read, uprightLine } from "./plots.js";
+import { entry, framed, inkOf, leastOf, limitsAndTicks, limitsOf, line, mark, markColour, read, uprightLine } from "./plots.js";
 
 /** Draw the slices of a page's map into its element. */
 export function drawSlices(page) {
@@ -48,10 +48,7 @@ function drawSlice(page, figure, direction, other) {
   }, { empty: !ys.some(Number.isFinite) });
   const click = ([px]) => {
     const { frame } = canvas;
-    if (!frame) return;
-    let best = 0;
-    xs.forEach((value, i) => { if (Math.abs(frame.x(value) - px) < Math.abs(frame.x(xs[best]) - px)) best = i; });
-    page.pick(cells[best]);
+    if (frame) page.pick(cells[leastOf(xs.map((value) => Math.abs(frame.x(value) - px)))]);
   };
   const name = `${variable.name}_${grid.nameText(page.cell, page.named.filter((one) => one !== direction.axis.name))}`;
   figure.slice = { about: () => page.about(title, { name, notes: page.notesAt([direction.axis.name]) }), draw, click, table: () => page.tableOf(cells) };
