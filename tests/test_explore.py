@@ -278,8 +278,8 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     assert second["title"] == "regimes" and second["low"] and second["x"]["ticks"] == [[0.5, "left"], [1.5, "right"]]
     shown, missing = unpack(second["items"][0]["data"]).tolist()
     assert shown >= 0 and missing == -1 and second["items"][0]["values"] == [0.0, None]
-    scale, law = document["keys"]
-    assert scale["text"] == "share [%]: −0.5 to 3" and len(scale["colours"]) == 9
+    [law], [bar] = document["keys"], document["bars"]
+    assert (bar["label"], bar["low"], bar["high"], first["bar"], second["bar"]) == ("share [%]", -0.5, 3.0, 0, None)
     look = {"shape": "line", "colour": "#112233", "dash": line["dash"], "marker": "s", "hollow": False}
     assert law == {"text": "law"} | look and line["label"] == "law"
     json.dumps(document, allow_nan=False)

@@ -258,14 +258,24 @@ SMALL_TARGETS = """() => [...document.querySelectorAll(".vibrojax :is(button, se
 
 
 def test_phone_with_touch(browser: Any, files: dict[str, Path]) -> None:
-    """The sheet leaves the map free, fingers reach every control, a tap reads values, and a zoom moves no plot."""
-    with OpenPage(browser, files["few"], width=390, is_mobile=True, has_touch=True) as opened:
+    """The sheet leaves the map free, fingers reach every control, a tap reads values, and a zoom moves no plot.
+
+    Where a pixel of the page is 1.5 of the screen, no colours but those of the regimes are between the cells.
+    """
+    phone: dict[str, Any] = {"width": 390, "is_mobile": True, "has_touch": True, "device_scale_factor": 1.5}
+    with OpenPage(browser, files["few"], "#region=off", **phone) as opened:
         page, map_canvas = opened.page, opened.page.locator(".vx-over")
         wait_for(page, "vibrojax.element.style.getPropertyValue('--sheet') !== ''")
         place = "s => document.querySelector(s).getBoundingClientRect().toJSON()"
         assert opened.evaluate(place, ".vx-map")["bottom"] <= opened.evaluate(place, ".vx-sheet")["top"] < 640
         assert opened.evaluate(SMALL_TARGETS) == []
         assert opened.evaluate("document.scrollingElement.scrollWidth") <= 390
+        assert opened.evaluate("(c => c.scrollWidth <= c.clientWidth)(document.querySelector('.vx-controls'))")
+        shades = """(({ map, view: { frame: { box } } }) => {
+            const sides = [box.left + 2, box.top + 2, box.right - box.left - 4, box.bottom - box.top - 4];
+            const { data } = map.getContext("2d").getImageData(...sides.map((x) => 1.5 * x));
+            return new Set(new Uint32Array(data.buffer)).size; })(vibrojax)"""
+        assert opened.evaluate(shades) == opened.page.locator(".vx-legend li").count()
 
         at = opened.evaluate("[vibrojax.view.frame.x(0.7), vibrojax.view.frame.y(0.4)]")
         map_canvas.tap(position={"x": at[0], "y": at[1]})
@@ -412,11 +422,11 @@ def test_legend_of_family_lists_what_occurs_in_visible_colours(browser: Any, tmp
         })"""
         brightest = opened.evaluate(drawn)
         assert len(brightest) == len(runs | kinds) and min(brightest) > 120
-        plot = opened.page.locator(".vx-figure canvas[role=img]").first
+        plot = opened.page.locator(".vx-plots canvas[role=img]").first
         plot.evaluate("c => vibrojax.plots.find(one => one.canvas === c).tools.set([[0.95, 1.05], [-1e3, 1e3]])")
         link = opened.evaluate("location.hash")
     with OpenPage(browser, tmp_path / "family.html", link) as reopened:
-        plot = reopened.page.locator(".vx-figure canvas[role=img]").first
+        plot = reopened.page.locator(".vx-plots canvas[role=img]").first
         assert plot.evaluate("c => c.zoom") == [[0.95, 1.05], [-1000, 1000]]
         plot.press("ArrowRight")  # reads the first value that is seen, not one beside the zoom
         read = reopened.page.locator(".vx-figure .vx-tip").first.inner_text().split()[-2]
@@ -440,7 +450,7 @@ def test_tracks_of_rig_log_choose_rows(browser: Any, tmp_path: Path) -> None:
         )
         assert min(ticks) >= 3
         assert "depth = 1502.3 m" in title.inner_text() and numbers.inner_text() == "22.25 m/h"
-        cloud = opened.page.locator(".vx-figure canvas[role=img]").first
+        cloud = opened.page.locator(".vx-plots canvas[role=img]").first
         for key in ("ArrowRight", "End", "Enter"):
             cloud.press(key)
         assert "depth = 1510 m" in title.inner_text()

@@ -122,25 +122,19 @@ def one_line(text: object, longest: int = 200) -> str:
     return printable(typeset(str(text).replace(r"\$", "$")), longest)
 
 
-def json_value(value: object) -> object:
-    """Return a value for JSON: a float rounded to ten digits, or None if it is not finite; other values as strings."""
+def json_value(value: object, digits: int = 10) -> object:
+    """Return a value for JSON: a float rounded to `digits`, or None if it is not finite; other values as strings."""
     if isinstance(value, float):
-        return float(f"{value:.10g}") if np.isfinite(value) else None
+        return float(f"{value:.{digits}g}") if np.isfinite(value) else None
     return value if isinstance(value, int) else str(value)
 
 
 def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts: object) -> Document:
-    """Return the JSON document that describes a dataset to the explorer page.
-
-    **Arguments:** `kind`: "grid", "family" or "motion"; `variables`: descriptions of the variables; `parts`: further
-    keys of the document, which by default are empty or null.
-    """
+    """Return the JSON document of a dataset; `parts` are keys that only some documents have."""
     notes, own = [reading_text(ds), common_text(ds)], text_of(ds, "scene") not in SCENES
     if run_seconds(ds) > COMMAND_MAX_SECONDS:
         notes.append(f"Each lane ran for {run_seconds(ds):g} s; the commands simulate {COMMAND_MAX_SECONDS:g} s")
     map_names = dict.fromkeys(variable["map"] for variable in variables if variable["map"])
-    nothing = dict.fromkeys(("lanes", "region", "run", "curves", "cells", "figure", "overlay"))
-    empty: Document = {**nothing, "axes": [], "fixed": {}, "summary": [], "view": [], "first": {}}
     document = {
         "format": 1,
         "kind": kind,
@@ -154,14 +148,11 @@ def document_with(ds: xr.Dataset, kind: str, variables: list[Document], **parts:
         "meanings": REGIME_MEANINGS | BORDER_MEANINGS | (OWN_MEANINGS if own else {}),
         "maps": {name: [to_hex(colormaps[name](level)) for level in range(256)] for name in map_names},
     }
-    return document | empty | parts
+    return document | {"axes": [], "fixed": {}, "view": [], "first": {}} | parts
 
 
 def axis_document(ds: xr.Dataset, name: str) -> Document:
-    """Return the description of an axis: its values or names, and the coordinates along a list of points.
-
-    A list of initial conditions also has such coordinates.
-    """
+    """Return the description of an axis: its values or names, and the coordinates along a list of points or starts."""
     counted = xr.DataArray(np.arange(ds.sizes[name]), dims=name, name=name)
     columns = [
         coordinate_document(data)
@@ -190,7 +181,11 @@ def coordinate_document(data: xr.DataArray) -> Document:
 
 
 def variable_document(data: xr.DataArray, of_attractors: Sequence[str] = ()) -> Document:
-    """Return the description of a variable: meaning, colours and values; of multipliers, only the largest."""
+    """Return the description of a variable: meaning, colours and values; of multipliers, only the largest.
+
+    `flags` are meanings by flag; colours of other variables are those of `map`, from `low` to `high`; `inner` is the
+    axis of several values of a cell, such as its returns, and `count` their number.
+    """
     data = data.isel(multiplier=0) if "multiplier" in data.dims else data
     value = value_of(data)
     meanings = {str(flag): name for flag, name in flags(data).items()} if value.names else None
@@ -231,10 +226,9 @@ def _other_colour(flag: str) -> str:
 
 
 def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
-    """Return the parts of the command that simulates a lane: parameters other than the defaults, options, duration.
+    """Return the parts of the command that simulates a lane: parameters other than the defaults, options and start.
 
-    The initial condition is included, too. The result is `{"own_scene": True}`, without a command, if the scene with
-    its options has no name.
+    The result is `{"own_scene": True}`, without a command, if the scene with its options has no name.
     """
     try:
         scene, options = (text_of(ds, "scene"), options_of(ds)) if sweep is None else (sweep.system.name, sweep.options)
@@ -275,10 +269,7 @@ def command_seconds(seconds: float) -> float:
 
 
 def given_of(ds: xr.Dataset) -> dict[str, Any]:
-    """Return the numbers that determine the machine of a dataset, where they differ from the defaults.
-
-    These are parameters, names that replace a parameter, such as `bit_frequency`, and the radius of the hole.
-    """
+    """Return the parameters, and the names that replace one, such as `bit_frequency`, that are not the defaults."""
     radius = hole_radius_of(ds)
     given: dict[str, Any] = {row["name"]: row["value"] for row in differing_of(ds)}
     given |= {name: value for name, value in parameters_of(ds).items() if name in REPLACED}

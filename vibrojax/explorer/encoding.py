@@ -1,8 +1,7 @@
 """Binary encoding of motions and arrays for the explorer page, its server and the widget.
 
-A `Cell` holds the motion that the page shows for one map cell. `encode(cells)` returns a block of bytes, which
-`decodeCells(buffer)` in the page decodes. An HTML file embeds its blocks deflated and in base64. A server sends a block
-of one `Cell`; a widget sends the same bytes over its channel.
+`encode(cells)` returns a block of bytes, which `decodeCells(buffer)` in the page decodes. An HTML file embeds its
+blocks deflated and in base64; a server or a widget sends a block of one `Cell`.
 
     block   = uint32 (little-endian): length of the header in bytes
             | header: JSON in UTF-8

@@ -45,8 +45,7 @@ HEADER_MAX_SECONDS, REQUEST_MAX_SECONDS = 3.0, 30.0
 """Time within which a connection must have sent the token, and further time for the request and its response."""
 
 CONNECTIONS_MAX = 32
-"""Largest number of open connections: each has a thread and a file descriptor. A new connection takes the place of the
-one whose limit ends first, which has not sent the token if any has not."""
+"""Largest number of open connections; a new one takes the place of the one whose time limit ends first."""
 
 SILENCE_MAX_SECONDS = 5.0
 """Longest pause within a request."""
@@ -76,11 +75,7 @@ class RefusedRequest(Exception):
 
 
 class Server(ThreadingHTTPServer):
-    """A server with one thread per connection, which closes connections after a time limit.
-
-    A connection that has not sent the token has a short limit. Clients without the token can therefore not keep many
-    connections open, however slowly they send.
-    """
+    """A server with one thread per connection, which closes connections after a limit, short without the token."""
 
     allow_reuse_address = False
     request_queue_size = 64
@@ -92,14 +87,12 @@ class Server(ThreadingHTTPServer):
         self.names = {f"{host}:{self.server_address[1]}" for host in (HOST, "localhost")}
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Set the time limit of a new connection, and start its thread."""
         if len(self.deadlines) >= CONNECTIONS_MAX:
             self._hang_up(min(self.deadlines.values()))
         self.deadlines[request] = time.monotonic() + HEADER_MAX_SECONDS
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
-        """Forget a connection that has ended."""
         self.deadlines.pop(request, None)
         super().shutdown_request(request)
 
@@ -141,7 +134,6 @@ class _Handler(BaseHTTPRequestHandler):
                     pass
 
     def _answer(self) -> None:
-        """Send the page, a motion, or an error status with the reason."""
         self.has_unread_body = "Content-Length" in self.headers or "Transfer-Encoding" in self.headers
         try:
             path = self._check_access()
@@ -170,10 +162,7 @@ class _Handler(BaseHTTPRequestHandler):
     do_GET = do_HEAD = do_POST = _answer
 
     def _check_access(self) -> str:
-        """Check host, origin and token of the request, and return the path after the token.
-
-        **Raises:** `RefusedRequest` if a check fails.
-        """
+        """Return the path after the token; raise `RefusedRequest` unless host, origin and token are its own."""
         hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
         if len(hosts) != 1 or hosts[0].lower() not in self.server.names:
             raise RefusedRequest(HTTPStatus.FORBIDDEN, "another host than this server's")
@@ -251,9 +240,8 @@ MAX_WAITING_CLIENTS, MAX_KNOWN_CLIENTS = 8, 256
 class RequestQueue:
     """Computations of many clients, one at a time, in the order of the requests.
 
-    A request with a greater number ends the client's earlier request. If the earlier request is waiting, the newer one
-    takes its place in the queue; if it is running, it stops at its next `check`. A request whose number is not greater
-    is rejected. If too many clients are waiting, a client may send the same number again.
+    A request with a greater number takes the place of the client's waiting request, and stops the running one at its
+    next `check`. A request whose number is not greater is rejected, unless too many clients were waiting.
     """
 
     def __init__(self, waiting: int = MAX_WAITING_CLIENTS) -> None:
@@ -264,12 +252,9 @@ class RequestQueue:
         self._changed = threading.Condition()
 
     def ask(self, client: str, number: int, work: Callable[[Check], Result]) -> Result:
-        """Return `work(check)`, computed in this thread when it is the client's turn.
+        """Return `work(check)`, computed in this thread when it is the turn of the client's request `number`.
 
-        **Arguments:** `client`: name of the client; `number`: request number, greater with each request of the client.
-
-        **Raises:** any error of `work`; `RefusedRequest` if the request is obsolete, too many clients are waiting, or
-        the queue is closed.
+        **Raises:** `RefusedRequest` if the request is obsolete, too many clients are waiting, or the queue is closed.
         """
 
         def check(*_: object) -> None:
@@ -318,10 +303,7 @@ class RequestQueue:
 class Live(AbstractContextManager["Live"]):
     """A server of one explorer page, which runs in its own threads until closed; `url` is the page's address.
 
-    **Arguments:** `answer(request, check)` returns the requested motion, encoded; it raises `InputError`, or the error
-    that `check()` raises. `warm()` compiles the programs that simulate motions.
-
-    **Raises:** `OSError` if no port is free.
+    `answer(request, check)` returns the requested motion, encoded; `warm()` compiles the programs for motions.
     """
 
     def __init__(self, html: str, answer: Callable[[dict[str, Any], Check], bytes], warm: Callable[[], None]) -> None:
@@ -364,9 +346,7 @@ class Live(AbstractContextManager["Live"]):
 
 
 def serve(ds: xr.Dataset, over: xr.Dataset | None = None, progress: bool = False) -> Live:
-    """Serve the live page of a dataset until it is closed.
-
-    **Arguments:** `ds`, `over`, `progress`: as for `write_page`.
+    """Serve the live page of a dataset until it is closed; the arguments are those of `write_page`.
 
     **Raises:** `InputError` if the dataset holds nothing to show or to simulate; `OSError` if no port is free.
     """

@@ -31,6 +31,7 @@ from vibrojax.periodic.measuring import DRIVEN_RETURNS
 from vibrojax.periodic.orbit_stages import OrbitStage
 from vibrojax.pictures import contents, overlays
 from vibrojax.pictures.axes import scale, with_unit
+from vibrojax.pictures.colours import regime_names
 from vibrojax.pictures.contents import FORM, REGIME, RETURN, START
 from vibrojax.pictures.maps import REGION
 from vibrojax.pictures.overlays import LINES, ON_MAPS
@@ -71,14 +72,15 @@ def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
         names = [str(number) for number in range(ds.sizes[contents.ATTRACTOR])]
         ds = ds.assign_coords({contents.ATTRACTOR: (contents.ATTRACTOR, names, {"long_name": "attractor"})})
     if "sign" in ds.dims:  # of pushes
-        ds = ds.assign_coords(
-            sign=("sign", np.where(ds["sign"].values > 0, "positive", "negative"), {"long_name": "side of the push"})
-        )
+        sides = np.where(ds["sign"].values > 0, "positive", "negative")
+        ds = ds.assign_coords(sign=("sign", sides, {"long_name": "side of the push"}))
     of_attractors = attractor_colours(ds) if {"share", REGIME} <= {*ds} and contents.ATTRACTOR in ds.dims else ()
     variables = [document.variable_document(ds[name], of_attractors) for name in _shown_variables(ds)]
     for variable in variables:
         if "inner" in variable:
             variable["label"] = with_unit(returns_label(ds[variable["name"]]), variable["units"])
+        if variable["name"] == "lane_attractor" and {REGIME, "share"} <= set(ds) and contents.ATTRACTOR in ds.dims:
+            variable["flags"] |= _attractor_names(ds)
     if not variables:
         return {}
     lane_axes = [str(dim) for dim in ds[LANE].dims] if LANE in ds else []
@@ -105,20 +107,25 @@ def _shown_variables(ds: xr.Dataset) -> list[str]:
     """Return the names of the displayed variables, the most informative first."""
     names = [str(name) for name, data in ds.data_vars.items() if data.dtype.kind in "fiu" and data.ndim > 0]
     # Individual section crossings are drawn over one axis only, and results of the check run are not drawn.
-    diagram = (
-        contents.returns_in(ds) if REGIME in ds and contents.swept(ds) and len(contents.long_axes(ds)) < 2 else None
-    )
-    names = [n for n in names if n == diagram or (n != LANE and not n.startswith(("return_", "check_")))]
-    names = [name for name in names if name == diagram or RETURN not in ds[name].dims]
-    leading = [name for name in LEADING_VARIABLES if name in names]
-    if (
-        "share" in leading and START in ds.dims and len(_basin_states(ds)) < 2
-    ):  # fractions are more informative than single regimes
-        leading.remove("share")
-        leading.insert(0, "share")
+    over_one_axis = REGIME in ds and contents.swept(ds) and len(contents.long_axes(ds)) < 2
+    diagram = contents.returns_in(ds) if over_one_axis else None
+    hidden = [n for n in names if n == LANE or n.startswith(("return_", "check_")) or RETURN in ds[n].dims]
+    names = [name for name in names if name == diagram or name not in hidden]
     leads = ("objective",) if LANE in ds else ("push_", "objective")  # of pushes with motions, the regimes lead
     first = [name for name in names if name == diagram or name.startswith(leads)]
-    return list(dict.fromkeys([*first, *leading, *names]))
+    # Fractions are more informative than single regimes.
+    first += ["share"] if "share" in names and START in ds.dims and len(_basin_states(ds)) < 2 else []
+    return list(dict.fromkeys([*first, *(name for name in LEADING_VARIABLES if name in names), *names]))
+
+
+def _attractor_names(ds: xr.Dataset) -> dict[str, str]:
+    """Return the names of attractors by number, with the regime of those that have the same wherever they occur."""
+    found, names = {}, regime_names(ds[REGIME])
+    for number in range(ds.sizes[contents.ATTRACTOR]):
+        regime = ds[REGIME].where(ds["share"] > 0).isel(attractor=number).values
+        kinds = [names.get(int(flag), "") for flag in np.unique(regime[np.isfinite(regime)])]
+        found[str(number)] = ", ".join([f"attractor {number}", *(kinds if len(kinds) == 1 else [])])
+    return found
 
 
 def _first_axes(ds: xr.Dataset) -> list[str]:
@@ -150,9 +157,8 @@ def _basin_states(ds: xr.Dataset) -> tuple[str, ...]:
 def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> dict[str, int]:
     """Return the cell shown first: the single impact nearest to the middle, stable if that is known.
 
-    `along`: the axes of the first view, or empty for the longest one. Other axes begin at 0 if that has such a cell.
-    The result is empty without regimes or without single impacts. Of attractors it is the most frequent one.
-    Of fits it is the form with the lowest AIC.
+    Other axes than `along`, those of the first view, begin at 0 if that has such a cell. Of attractors, it is the most
+    frequent one; of fits, the form with the lowest AIC.
     """
     if FORM in ds.dims and "aic" in ds:
         aic = ds["aic"].median([dim for dim in ds["aic"].dims if dim != FORM])
@@ -169,30 +175,30 @@ def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> d
     if {"share", "lane_attractor"} <= set(ds.variables):
         middle = {str(name): size // 2 for name, size in ds["share"].sizes.items() if name != "attractor"}
         return middle | {"attractor": int(ds["share"].isel(middle).argmax("attractor"))}
-    regime = next((variable for variable in variables if variable["name"] == "regime" and variable["flags"]), None)
-    flag = next((key for key, name in (regime or {"flags": {}})["flags"].items() if name == "single-impact"), None)
-    if regime is None or flag is None:
+    singles = [
+        int(k)
+        for x in variables
+        if x["name"] == "regime"
+        for k, name in (x["flags"] or {}).items()
+        if name == "single-impact"
+    ]
+    if not singles:
         return {contents.POINT: ds.sizes[contents.POINT] // 2} if contents.POINT in ds.dims else {}
-    names = regime["axes"]
-    single = ds["regime"].transpose(*names).values == int(flag)
+    single, names = ds["regime"] == singles[0], [str(name) for name in ds["regime"].dims]
     if "stable" in ds and set(ds["stable"].dims) == set(names):
-        stable = single & (ds["stable"].transpose(*names).values == 1)
+        stable = single & (ds["stable"] == 1)
         single = stable if stable.any() else single
     if not single.any():
         return {}
-    along = along or [max(names, key=lambda name: ds.sizes[name])] if names else []
-    cells = np.argwhere(single)
-    sizes = np.array([ds.sizes[name] for name in names])
+    along = along or [max(names, key=lambda name: ds.sizes[name])]
+    cells, sizes = np.argwhere(single.transpose(*names).values), np.array([ds.sizes[name] for name in names])
     inside = np.array([name in along for name in names])
     away = np.where(inside, np.abs(cells / np.maximum(sizes - 1, 1) - 0.5), 10.0 * (cells > 0))
     return {name: int(k) for name, k in zip(names, cells[np.argmin((away**2).sum(axis=1))], strict=True)}
 
 
 def overlay_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
-    """Return the part of the JSON document with what is drawn over the page of `ds`: borders or curves, or families.
-
-    **Raises:** `InputError` if `over` does not belong to the dataset.
-    """
+    """Return the part of the JSON document with what is drawn over the page of `ds`: borders or curves, or families."""
     if kind_of(over) in ON_MAPS:
         return {"curves": curves_document(ds, over)}
     shown_returns = contents.returns_in(ds)
@@ -208,10 +214,7 @@ def overlay_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
 
 
 def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
-    """Return the part of the JSON document with the borders or curves `over` that are drawn on the map of `ds`.
-
-    **Raises:** `InputError` if they do not belong to this map, or are malformed.
-    """
+    """Return the borders or curves `over`; raise `InputError` if they are malformed, or are not of the map of `ds`."""
     axes, of_curves = overlays.axes_of(over), kind_of(over) == "curves"
     overlays.check_borders(ds, over, *axes)
     point, number = ("point", over["point_curve"].values) if of_curves else ("vertex", over["curve"].values)
@@ -238,16 +241,13 @@ def curves_document(ds: xr.Dataset, over: xr.Dataset) -> Document:
             name = document.one_line(over["codim2_kind"].values[k], SYMBOL_MAX_CHARACTERS)
             corners.append({"kind": name, "at": curves[curve]["at"], "point": place})
     colours = {kind: str(line["colour"]) for kind, line in LINES.items()}
-    of = "curves" if of_curves else "borders"
-    return {"of": of, "colours": colours, "list": list(curves.values()), "corners": corners}
+    return {"of": kind_of(over), "colours": colours, "list": list(curves.values()), "corners": corners}
 
 
 def _check_points(over: xr.Dataset, names: Sequence[str], dimension: str) -> None:
     """Raise `InputError` unless the named variables are finite numbers along a dimension."""
-    if over.sizes.get(dimension, 0) > OVERLAY_MAX_POINTS:
-        raise InputError(
-            f"over: {over.sizes[dimension]} along {dimension}, more than the {OVERLAY_MAX_POINTS} of a page"
-        )
+    if (size := over.sizes.get(dimension, 0)) > OVERLAY_MAX_POINTS:
+        raise InputError(f"over: {size} along {dimension}, more than the {OVERLAY_MAX_POINTS} of a page")
     for name in names:
         data = over.get(name)
         if data is None or data.dims != (dimension,) or data.dtype.kind not in "fiu":
@@ -300,7 +300,7 @@ def _chunk_cells(first: int, inputs: LaneInputs, run: LaneRun, features: Feature
 def _excerpts(
     inputs: LaneInputs, run: LaneRun, features: Features
 ) -> tuple[Float[np.ndarray, "states lanes"], Excerpt]:
-    """Return the states from which a chunk's lanes are recorded, of orbits, section crossings or settled lanes."""
+    """Return the states from which a chunk's lanes are recorded: of orbits, section crossings or settled lanes."""
     scene, parameters, count = inputs.scene, inputs.parameters, len(inputs)
     driving = scene.driving_part()
     zero, nan = np.zeros(count), np.full(count, np.nan)

@@ -57,17 +57,11 @@ LOG_SLIDER_RATIO = 30.0
 class LiveMotions:
     """Motions of one scene on demand; a request contains only the values that differ from those of a parameter point.
 
-    **Arguments:**
-
-    - `scene`: name of a scene, or a scene object.
-    - `values`: parameters (SI), names that replace them, radius of the hole, and options such as `friction` that differ
-      from the defaults.
+    - `values`: parameters (SI), names that replace them, radius of the hole, and options that differ from the defaults.
     - `start`: initial condition unless a request specifies another; None for the scene's first.
     - `duration` [s]: simulated time; its last part is observed.
     - `axes`: values by parameter that the slider of the parameter must include.
     - `sweep`: a sweep whose lanes can also be requested.
-
-    **Raises:** `InputError`.
     """
 
     def __init__(
@@ -89,11 +83,9 @@ class LiveMotions:
     def answer(self, request: Mapping[str, Any], check: Callable[..., None]) -> bytes:
         """Return the requested motion, encoded for the explorer page.
 
-        `request` is `lane`, the number of a lane; `lane` and `box`, see `box_of`, with an answer in
-        JSON; or `parameters`, numbers by name that replace the point's own, and `start`, the name or the vector of
-        an initial condition. `check` is called often; an exception that it raises ends the simulation.
-
-        **Raises:** `InputError` if the request is invalid, or the motion takes too long.
+        `request` is `lane`, the number of a lane; `lane` and `box`, see `box_of`, with an answer in JSON; or
+        `parameters` by name, and `start`, the name or the vector of an initial condition. `check` is called often; an
+        exception that it raises ends the simulation.
         """
         if set(request) == {"lane"}:
             return encode([self.lane(request["lane"], check)])
@@ -140,10 +132,7 @@ class LiveMotions:
         return replace(cell, note="; ".join(filter(None, (cell.note, unsettled_text(float(drift)), *unusual))))
 
     def lane(self, number: object, check: Callable[..., None] | None = None) -> Cell:
-        """Return the motion of a lane of the sweep, simulated from its initial condition.
-
-        `numbers` is None, because the dataset contains the features of the lane.
-        """
+        """Return the motion of a lane of the sweep from its start; its numbers are those of the dataset."""
         number = self._number(number)
         assert self.sweep is not None
         lane = self.sweep.inputs_of(np.array([number]))
@@ -168,12 +157,7 @@ class LiveMotions:
         self.cell({})
 
     def offered(self) -> dict[str, Any]:
-        """Return a JSON description of the possible requests.
-
-        `parameters` contains the slider of each parameter. `values` and `start` describe the parameter point. `states`
-        are the names of the elements of an initial state, `state_labels` their labels. Numbers are in SI units; times
-        `factor`, they are in the displayed unit.
-        """
+        """Return a JSON description of the possible requests: sliders, the parameter point, and what a start may be."""
         system = self.names.system
         units = {state.name: state.unit for state in system.states}
         return {
@@ -190,10 +174,9 @@ class LiveMotions:
         }
 
     def _slider(self, parameter: Parameter) -> dict[str, Any]:
-        """Return the description of a parameter's slider.
+        """Return the slider of a parameter, whose range includes the usual values, the default, point and axes.
 
-        Its range includes the usual values, the default, and the values of the point and the axes. Without usual
-        values, it extends to three times the greater magnitude of the default and the point's value.
+        Without usual values, it extends to three times the greater magnitude of the default and the point's value.
         """
         value, default = self.point.parameters[parameter.name], parameter.default
         size = 3 * max(abs(default), abs(value)) or 1.0
@@ -220,12 +203,8 @@ class LiveMotions:
 def box_of(sweep: Sweep, lane: int, box: object, check: Callable[..., None]) -> Document:
     """Return the variables of a sweep over a box of two of its axes, as JSON.
 
-    **Arguments:** `lane`: number of a lane with the box's other parameters and initial condition; `box`: [low, high] in
-    SI units by axis; `check`: called often; an exception that it raises ends the computation.
-
-    **Returns:** `axes`: values by name; `variables`: packed arrays over these axes by name.
-
-    **Raises:** `InputError` if the box does not belong to the sweep, or takes too many steps.
+    `lane` is the number of a lane with the box's other parameters and initial condition; `box` contains [low, high] in
+    SI units by axis. The result has `axes`, values by name, and `variables`, packed arrays over these axes by name.
     """
     if sweep.run.carry is not None or sweep.points is not None:
         raise BOX.error("only grids of independent lanes have boxes")
@@ -265,10 +244,7 @@ def _values_between(place: Place, ends: Any, known: np.ndarray) -> np.ndarray:
 
 
 def motions_for(ds: xr.Dataset, own: Sweep | None = None) -> LiveMotions:
-    """Return the motions on demand for a dataset: for its sweep if there is one, else for its parameter point.
-
-    **Raises:** `InputError` if the attributes contain no known scene.
-    """
+    """Return the motions on demand for a dataset: for its sweep if there is one, else for its parameter point."""
     sweep, _ = sweep_of(ds, own)
     if sweep is not None:
         return motions_of(sweep)

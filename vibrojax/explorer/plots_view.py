@@ -6,8 +6,8 @@ A description holds the plots, the entries of their legends, and figures as imag
                                     "direction": id of the page's direction along the axis, or null},
                 "at": {axis: index}: the map cells that the plot shows, "wide", "low", "square", "track", "bare": a
                 track beside another of the same axis, "items": [...]}],
-     "keys": [{"text", "colour", "shape": "line", "patch", "scale" or a mark, "dash": [...], "marker", "hollow",
-               "size"}],
+     "keys": [{"text", "colour", "shape": "line", "patch" or a mark, "dash": [...], "marker", "hollow", "size"}],
+     "bars": [{"label", "low", "high", "log", "extend", "map": colours}]: a plot has the number of its own as "bar",
      "images": [{"title", "data": a PNG file as a data URL}]}
 
 Items are in data coordinates, each with a "kind": "line" (x, y, label, colour, width, dash), "points" (x, y, label,
@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.colors import to_hex
+from matplotlib.colors import LogNorm, to_hex
 from matplotlib.figure import Figure
 
 from vibrojax.explorer.document import Document, json_value, one_line
@@ -32,6 +32,7 @@ from vibrojax.io.attributes import LONGEST_TEXT
 from vibrojax.measures.labels import REGIMES
 from vibrojax.pictures import plots
 from vibrojax.pictures.axes import certified_text, point_text
+from vibrojax.pictures.colours import Value
 from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import INK, settings
 
@@ -49,6 +50,8 @@ LEAST_LINE = 0.03
 
 IMAGE_DPI = 160
 
+BAR_COLOURS = 64
+
 _DASHES = {"--": (3.7, 1.6), ":": (1.0, 1.65), "-.": (6.4, 1.6, 1.0, 1.6)}
 
 
@@ -61,32 +64,26 @@ def figure_document(
 ) -> Document:
     """Return the description of plots and figures.
 
-    **Arguments:** `axes`: the axes of the page's document, to which plots over the same variables are linked; `drawn`:
-    names of the variables that the page draws over these axes itself. It also draws maps over two of them, unless
-    `maps` is True.
+    Plots over the `axes` of the page's document are linked to them. The page itself draws the variables `drawn` over
+    these axes, and maps over two of them unless `maps` is True.
     """
     panels: list[Document] = []
+    bars: list[Document] = []
     notes: list[str] = []
     keys: dict[str, Document] = {}
     for sheet in (plots.as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
-        panels += _plots(sheet, ds, axes, drawn, maps)
+        panels += _plots(sheet, ds, axes, drawn, maps, bars)
         notes.append(_own_note(sheet, ds))
-        keys = {key["text"]: key for key in _keys(sheet, drawn)} | keys
+        keys = {key["text"]: key for key in _keys(sheet)} | keys
     images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
     items = [item for plot in panels for item in plot["items"]]
     colours = {colour for item in items for colour in (*item.get("colours", ()), item.get("colour", ""))}
     shapes = {item["shape"] for item in items if item["kind"] == "points"}
     # What the page draws itself has no entry here. A sign in ink stands for marks of any colour.
-    shown = [
-        key
-        for key in keys.values()
-        if key["shape"] == "scale" or key["colour"] in colours or (key["colour"] == INK and key["shape"] in shapes)
-        if not _is_hidden(key["text"], panels)
-    ]
-    for key in shown:
-        _colour_as_drawn(key, items)
+    occurring = [k for k in keys.values() if k["colour"] in colours or (k["colour"] == INK and k["shape"] in shapes)]
+    shown = [_as_drawn(key, items) for key in occurring if not _is_hidden(key["text"], panels)]
     note = one_line(". ".join(filter(None, dict.fromkeys(notes))), LONGEST_TEXT)
-    return {"plots": panels, "keys": shown, "images": images, "note": note}
+    return {"plots": panels, "keys": shown, "bars": bars, "images": images, "note": note}
 
 
 def _own_note(sheet: Sheet, ds: xr.Dataset) -> str:
@@ -99,31 +96,31 @@ def _own_note(sheet: Sheet, ds: xr.Dataset) -> str:
 
 def _is_hidden(label: str, panels: Sequence[Document]) -> bool:
     """Return whether all that has this label are lines too short to be seen, below the mark at their middle."""
-    shares: list[float] = []
-    for panel in panels:
-        for item in (item for item in panel["items"] if item.get("label") == label):
-            if item["kind"] != "line":
-                return False
-            for name in "xy":
-                known, (low, high) = [x for x in item[name] if x is not None], panel[name]["limits"]
-                shares.append(float(np.ptp(known or [0.0]) / abs(high - low or 1.0)))
-    return bool(shares) and max(shares) < LEAST_LINE
+    labelled = [(panel, item) for panel in panels for item in panel["items"] if item.get("label") == label]
+    shares = [
+        np.ptp([x for x in item[name] if x is not None] or [0.0]) / abs(np.ptp(panel[name]["limits"]) or 1.0)
+        for panel, item in labelled
+        for name in "xy"
+    ]
+    return bool(shares and max(shares) < LEAST_LINE and all(item["kind"] == "line" for _, item in labelled))
 
 
-def _colour_as_drawn(key: Document, items: Sequence[Document]) -> None:
+def _as_drawn(key: Document, items: Sequence[Document]) -> Document:
     """Give a sign in ink, which stands for marks of any colour, the colour of these marks if they have only one."""
-    if key["colour"] != INK or "size" not in key:
-        return
-    marks = (item for item in items if item["kind"] == "points" and item["shape"] == key["shape"])
-    alike = [item for item in marks if item["sizes"][:1] == [key["size"]] and any(y is not None for y in item["y"])]
-    colours = {colour for item in alike for colour in item["colours"]}
-    if len(colours) == 1:
-        key["colour"] = colours.pop()
+    colours = {
+        colour
+        for item in items
+        if item["kind"] == "points" and (item["shape"], item["sizes"][:1]) == (key["shape"], [key.get("size")])
+        if any(y is not None for y in item["y"])
+        for colour in item["colours"]
+    }
+    return key | {"colour": colours.pop()} if key["colour"] == INK and len(colours) == 1 else key
 
 
 def _plots(
-    sheet: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str], maps: bool
+    sheet: Sheet, ds: xr.Dataset, axes: Sequence[Document], drawn: Sequence[str], maps: bool, bars: list[Document]
 ) -> Iterator[Document]:
+    """Yield the descriptions of the plots of a sheet; their colour bars are added to `bars`."""
     columns = {
         column["name"]: f"{axis['name']}:{column['name']}" if axis["columns"] else axis["name"]
         for axis in axes
@@ -141,7 +138,10 @@ def _plots(
         titles.setdefault(row, plot.title)
         if not plot.layers or (x and ((y and not maps) or plot.y.name in drawn)):
             continue
+        bar = None if plot.scale is None or plot.scale.name in drawn or plot.scale.names else _bar(plot.scale)
+        bars += [bar] if bar and bar not in bars else []
         title = plot.title or plot.name or titles[row] or ("" if plot.x.label or plot.y.label else sheet.title)
+        title = title or (bar["label"] if bar and not (plot.x.label and plot.y.label) else "")
         at = {
             name: int(indices[0])
             for name in (axis["name"] for axis in axes if axis["name"] in plot.at and axis["name"] in ds.coords)
@@ -158,10 +158,18 @@ def _plots(
             "wide": bool(share >= WIDE_SHARE),
             "low": bool(sheet.size[1] * sum(sheet.heights[row : row + deep]) / sum(sheet.heights) < LOW_INCHES),
             "square": plot.square,
+            "bar": bars.index(bar) if bar else None,
             "track": track,
             "bare": bare,
             "items": items_of(plot),
         }
+
+
+def _bar(value: Value) -> Document:
+    colours = [to_hex(value.colour_map(level)) for level in np.linspace(0.0, 1.0, BAR_COLOURS)]
+    low, high = (json_value(float(end or 0.0)) for end in (value.norm.vmin, value.norm.vmax))
+    about = {"low": low, "high": high, "log": isinstance(value.norm, LogNorm), "extend": value.extend}
+    return {"label": _plain(value.label), **about, "map": colours}
 
 
 def _image(figure: Figure) -> Document:
@@ -201,7 +209,7 @@ def _xy(plot: Plot, x: plots.Places, y: plots.Places) -> Document:
     for name, values, axis in zip("xy", pairs, (plot.x, plot.y), strict=True):
         low, high = (end or 0.0 for end in axis.limits)
         inside = np.where(values == np.inf, high, np.where(values == -np.inf, low, values))[:: _step(values)]
-        item[name] = [json_value(float(f"{value:.6g}")) for value in inside.ravel()]
+        item[name] = [json_value(float(value), 6) for value in inside.ravel()]
     return item
 
 
@@ -224,7 +232,7 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
             layer = plots.Points(layer.x, layer.y, colour, layer.size, layer.marker)
         if layer.marker:
             colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
-            sizes = [_half(size) for size in np.atleast_1d(layer.sizes)[::step]]
+            sizes = [json_value(float(size) / 2, 3) for size in np.atleast_1d(layer.sizes)[::step]]
             look = {"colours": [to_hex(colour) for colour in colours], "sizes": sizes, "hollow": hollow}
             yield {"kind": "points", **about, **points, **look, "shape": layer.marker}
     elif isinstance(layer, plots.Bars):
@@ -246,7 +254,8 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
             if len(part):
                 place = _xy(plot, np.append(x[part], x[part][::-1]), np.append(low[part], high[part][::-1]))
                 colour = "hatched" if layer.hatch else to_hex(layer.colour)
-                yield {"kind": "area", **about, **place, "colour": colour, "alpha": layer.alpha}
+                alpha = layer.alpha if layer.alpha < 0.9 else 1.0  # as in the legend
+                yield {"kind": "area", **about, **place, "colour": colour, "alpha": alpha}
     elif isinstance(layer, plots.Cells):
         rgba = layer.colour_map(layer.norm(np.ma.masked_invalid(layer.values))).reshape(-1, 4)
         palette, indices = np.unique((rgba * 255).round().astype(int), axis=0, return_inverse=True)
@@ -254,7 +263,7 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
         ends = {"x": np.asarray(layer.x, float).tolist(), "y": np.asarray(layer.y, float).tolist()}
         names = [to_hex(colour / 255) for colour in palette]
         texts = {str(flag): name for flag, name in enumerate(REGIMES)} if layer.colour_map.name == "regimes" else {}
-        values = [json_value(float(f"{value:.5g}")) for value in layer.values.ravel().tolist()]
+        values = [json_value(value, 5) for value in layer.values.ravel().tolist()]
         packed = {"colours": names, "data": pack(indices.astype(np.int32)), "hatched": layer.hatched}
         yield {"kind": "cells", **ends, **packed, "values": values, "names": texts}
     elif isinstance(layer, plots.Text):
@@ -273,24 +282,13 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
         }
 
 
-def _half(size: float) -> object:
-    return json_value(float(f"{size / 2:.3g}"))
-
-
 def _dash(dash: plots.Dash, width: float) -> list[float]:
     lengths = _DASHES.get(dash, ()) if isinstance(dash, str) else dash[1]
     return [round(1.3 * width * float(x), 3) for x in lengths]
 
 
-def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
-    """Yield the entries of the legends, and those of colour bars that the page does not draw itself."""
-    for value in {id(plot.scale): plot.scale for plot in sheet.plots if plot.scale is not None}.values():
-        if value.name not in drawn and not value.names:
-            low, high = (f"{x:.3g}".replace("-", "−") for x in (value.norm.vmin, value.norm.vmax))
-            colours = [to_hex(value.colour_map(level)) for level in np.linspace(0.0, 1.0, 9)]
-            text = _plain(value.label)
-            text = f"{text}: {low} to {high}" if text else f"{low} to {high}"
-            yield {"text": text, "shape": "scale", "colour": colours[4], "colours": colours, "dash": []}
+def _keys(sheet: Sheet) -> Iterator[Document]:
+    """Yield the entries of the legends."""
     own = [entry for plot in sheet.plots if plot.keys for entry in plots.labelled_layers(plot)]
     for entry in (*own, *(entry for group in plots.legend_of(sheet) for entry in group)):
         key: dict[str, Any] = {"text": _plain(entry.label), "dash": [], "hollow": False}
@@ -299,7 +297,7 @@ def _keys(sheet: Sheet, drawn: Sequence[str]) -> Iterator[Document]:
             continue
         key |= {"colour": to_hex(entry.colour), "hollow": entry.face in ("none", "white")}
         if not entry.dash:
-            yield key | {"shape": entry.marker or "o", "size": _half(entry.size)}
+            yield key | {"shape": entry.marker or "o", "size": json_value(float(entry.size) / 2, 3)}
             continue
         marker = {"marker": entry.marker} if entry.marker else {}
         yield key | {"shape": "line", "dash": _dash(entry.dash, entry.width)} | marker

@@ -33,15 +33,13 @@ RECORD_BATCH_STEPS, RECORD_MAX_BATCHES = 64, 40
 RECORD_ACCURACY = Accuracy(tolerance=1e-9, stride=LOCATED_STRIDE, step=np.inf)
 
 SHOWN_RETURNS, SECTION_RETURNS = 5, 48
-"""For a lane that is not periodic: number of return intervals whose motion is shown, and number of section crossings
-whose states are shown."""
+"""Numbers of return intervals and of section crossings that are shown of a lane that is not periodic."""
 
 SHOWN_SECONDS = 2.0
 """Displayed time of a lane that never crosses the section."""
 
 RETURN_SAMPLES, CELL_MAX_SAMPLES = 56, 180
-"""Number of evenly spaced samples per return interval, and maximum for a motion, of up to four states; more states have
-more. Samples at events are added, two where a state jumps."""
+"""Number of evenly spaced samples per return interval, and maximum for a motion, of up to four states."""
 
 TRAJECTORY_FINENESS = 6
 """Ratio of the samples of a trajectory, which is the only motion of its page, to those of a lane."""
@@ -49,9 +47,9 @@ TRAJECTORY_FINENESS = 6
 LEAST_JUMP = 2e-3
 """Least difference of the values before and after a jump, as a fraction of a state's range: a pixel of a plot."""
 
-PULSE_TOLERANCE, PULSE_MAX_CYCLES = 1e-3, 8
-"""Largest difference of states one period apart, relative to half their peak-to-peak ranges, and longest period in
-pulses."""
+PULSE_TOLERANCE, PULSE_MAX_CYCLES, LAST_PULSES = 1e-3, 8, 32
+"""Largest difference of states one period apart, relative to half their peak-to-peak ranges; longest period in pulses;
+and number of pulses at the end of a motion that are compared."""
 
 STEP_PLACES = 6
 """Number of points in each step at which the path of the states is measured."""
@@ -62,13 +60,8 @@ EVENT_PRIORITY = ("section", "switch", "release", "slip", "slide", "stick", "imp
 TIME_TOLERANCE = 1e-6
 """Times count as equal if they differ by less than this fraction of the motion's duration."""
 
-
 SECTION_STATES = ("x1", "x2", "v2", "x3", "v3")
 """States whose values at section crossings are shown, if the scene has them."""
-
-LAST_PULSES = 32
-"""Number of pulses at the end of a motion whose states are compared to find its period."""
-
 
 Samples = Float[np.ndarray, " samples"]
 Moments = Mapping[str, np.ndarray]
@@ -139,10 +132,10 @@ def _cell(
 ) -> Cell:
     """Return a part of a motion.
 
-    **Arguments:** `path`: times and states that show how the states move; `ends`: times of all events, each of which
-    gets a sample, or two, before and after, if a state jumps; `states_at`: function of times that returns the states
-    with their attributes, and the flags of the samples but for events; `crossings`: function of the times of section
-    crossings that returns the states there; `fineness`: ratio of the number of samples to that of a lane.
+    **Arguments:** `path`: times and states that show how the states move; `ends`: times of all events, which get a
+    sample, or one on each side of a jump; `states_at`: function of times that returns states with attributes, and flags
+    without events; `crossings`: function of the times of section crossings that returns the states there; `fineness`:
+    ratio of the number of samples to that of a lane.
     """
     tolerance = TIME_TOLERANCE * float(excerpt.shown)
     times = _sample_times(*path, ends, int(excerpt.returns), fineness)
@@ -203,15 +196,9 @@ def _sample_times(times: np.ndarray, states: np.ndarray, events: np.ndarray, ret
     return samples[np.concatenate([[True], is_new])]
 
 
-# Of recorded steps.
-
-
 @lane_function(static=1)
 def _first_step(scene: Scene[Any], p: dict[str, Any], state: Values) -> tuple[Any, Lane]:
-    """Return the scene's constants, adapted to the initial `state`, and the lanes in this state at t = 0.
-
-    `p`: parameters of the scene, by name.
-    """
+    """Return the scene's constants, adapted to the initial `state`, and the lanes in this state at t = 0."""
     constants = scene.scaled(scene.constants(p), state)
     return constants, lane_at(scene, constants, state)
 
@@ -299,16 +286,11 @@ def cell_of_record(scene: Scene[Any], record: Record, moments: Moments, excerpt:
     return _cell(excerpt, moments, path, ends[np.asarray(record.hits).any(axis=1)], states_at, crossings)
 
 
-# Of a trajectory.
-
-
 def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
     """Return the part of a trajectory that the explorer page shows: its last period or its last section crossings.
 
-    **Arguments:** `motion`: the dataset of `simulate`. Without events, as with a solver of diffrax, the last seconds
-    are shown. `lane`: number of the lane, -1 for a motion simulated live.
-
-    **Returns:** a `Cell`. Its `numbers` are the features of the motion, with the names of a sweep's variables.
+    Without events, as with a solver of diffrax, the last seconds are shown. The `numbers` of the cell are the features
+    of the motion, with the names of a sweep's variables.
     """
     time, data = with_events(motion)
     times_of, kinds = (motion[n].values if n in motion else np.zeros(0) for n in ("event_time", "event_kind"))

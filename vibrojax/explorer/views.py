@@ -31,15 +31,18 @@ from vibrojax.periodic.measuring import DRIVEN_RETURNS
 from vibrojax.pictures import branches
 from vibrojax.pictures.axes import symbols_of
 from vibrojax.pictures.branches import MARKS
-from vibrojax.pictures.contents import FORM, START, long_axes
+from vibrojax.pictures.contents import FORM, POINT, START, long_axes
 from vibrojax.pictures.overlays import axes_of
 from vibrojax.pictures.starts import described
 from vibrojax.progress import LOG
 from vibrojax.scenes import SCENES
-from vibrojax.studies.analysis import analysis_of
+from vibrojax.studies.analysis import SummaryPart, analysis_of
 
 PAGE_MAX_LANES = 40_000
 """Number of lanes above which a page contains no motions; browsers open a larger file slowly."""
+
+MAP_LEAST_POINTS = 8
+"""Number of points of a list below which they are chosen in the plots of their analysis, without a map of their own."""
 
 HISTORY_BINS = 1200
 """Number of time intervals, of each of which the least and greatest value are shown: one per pixel of a wide plot."""
@@ -90,9 +93,10 @@ def contents_of(
     elif (held := analysis_of(ds).page_cells(ds)) is not None:
         page = map_document(*held)
         page["figure"] = figure_document(analysis_of(ds).page_figures(ds), held[0], page["axes"], maps=True)
-        if held[1] is None:
+        few = held[0].sizes.get(POINT, MAP_LEAST_POINTS) < MAP_LEAST_POINTS and "sign" not in held[0].dims
+        if held[1] is None or few:
             page["map"] = False
-        else:
+        if held[1] is not None:
             page["without"] = _rerun_problem(held[1])
             cells = lane_cells(held[1], progress)
     else:
@@ -162,9 +166,8 @@ def _motion_document(ds: xr.Dataset) -> Document:
     """Return the JSON document of a trajectory, given the dataset of `simulate`."""
     if not ds.sizes["time"]:
         raise InputError("explore: the motion has no samples")
-    if any(
-        np.isinf(data.values).any() for data in ds.data_vars.values() if "time" in data.dims and data.dtype.kind == "f"
-    ):
+    along = [data.values for data in ds.data_vars.values() if "time" in data.dims and data.dtype.kind == "f"]
+    if any(np.isinf(values).any() for values in along):
         raise InputError("explore: the motion has values that are not finite")
     run = document.run_document(ds) | {"duration": document.command_seconds(float(ds["time"][-1]))}
     lanes = pack(np.zeros(1, np.int32)) | {"axes": []}
@@ -176,16 +179,11 @@ def _history(ds: xr.Dataset) -> Document:
     time, data = with_events(ds)
     bins = np.array_split(np.arange(len(time)), min(HISTORY_BINS, len(time)))
     columns: list[Document] = []
-    for name, values in ((name, x.values) for name, x in data.items()):
-        extremes = [sorted((part[np.argmin(values[part])], part[np.argmax(values[part])])) for part in bins]
-        columns.append(
-            {
-                "name": name,
-                "units": document.one_line(data[name].attrs.get("units", "")),
-                "long_name": document.one_line(data[name].attrs.get("long_name", "")) or name,
-                "data": pack(values[np.ravel(extremes)].astype(float)),
-            }
-        )
+    for name, x in data.items():
+        extremes = [sorted((part[np.argmin(x.values[part])], part[np.argmax(x.values[part])])) for part in bins]
+        units, long_name = (document.one_line(x.attrs.get(key, "")) for key in ("units", "long_name"))
+        column = pack(x.values[np.ravel(extremes)].astype(float))
+        columns.append({"name": name, "units": units, "long_name": long_name or name, "data": column})
     ends = np.ravel([[time[part[0]], time[part[-1]]] for part in bins])
     return {"time": pack(ends), "columns": columns, "observed_from": run_of(ds).get("settle")}
 
@@ -199,11 +197,11 @@ def summary_parts(ds: xr.Dataset) -> list[Document]:
         return []
     greek = {name: sign for name, sign in symbols_of(ds).items() if len(sign) == 1 and not sign.isascii()}
     names = re.compile(rf"\b({'|'.join(greek) or '(?!)'})\b")
-    lines = {
-        part.name: [names.sub(lambda name: greek[name[0]], document.one_line(line)) for line in part.lines]
-        for part in parts
-    }
-    return [{"name": name, "lines": text[:200]} for name, text in lines.items() if text]
+
+    def lines(part: SummaryPart) -> list[str]:
+        return [names.sub(lambda name: greek[name[0]], document.one_line(line)) for line in part.lines[:200]]
+
+    return [{"name": part.name, "lines": lines(part)} for part in parts if part.lines]
 
 
 def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, str]:
@@ -214,10 +212,8 @@ def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, st
     if own is not None:
         own = at_coordinates(own, ds.coords)
         if not has_lanes_of(ds, own):
-            sizes = dict(zip(own.dims, own.shape, strict=True))
-            raise InputError(
-                f"sweep: its lanes are {sizes}, the dataset's {dict(ds.sizes)}; give the dataset's own sweep"
-            )
+            lanes = f"{dict(zip(own.dims, own.shape, strict=True))}, the dataset's {dict(ds.sizes)}"
+            raise InputError(f"sweep: its lanes are {lanes}; give the dataset's own sweep")
         return own, ""
     if FORM in ds.dims:
         return None, "a fit has no motions" + ("; the page of its sweep has them" if "sweep" in ds.attrs else "")
@@ -226,12 +222,9 @@ def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, st
     try:
         return sweep_of_dataset(ds, orbits=False), ""
     except InputError as error:
-        if text_of(ds, "scene") not in SCENES:
-            return (
-                None,
-                "its system is known only to the Python session that defined it: pass its sweep to vj.write_page",
-            )
-        return None, f"its motions cannot be computed: {str(error).removeprefix('orbits: ')}"
+        own_system = "its system is known only to the Python session that defined it: pass its sweep to vj.write_page"
+        known = f"its motions cannot be computed: {str(error).removeprefix('orbits: ')}"
+        return None, known if text_of(ds, "scene") in SCENES else own_system
 
 
 def _rerun_problem(sweep: Sweep) -> str:
@@ -328,10 +321,9 @@ def orbit_cells(ds: xr.Dataset) -> Iterator[Cell]:
     for name in driving.return_states:
         state[scene.place(name)] = ds[orbit_name(name)].values
     cycles, period = ds["cycles"].values.astype(int), ds["period"].values
-    repeat, skipped = cycles * period, (DRIVEN_RETURNS if driving is not scene else 0) * period
-    recorded = skipped + repeat + REPEAT_MARGIN * period
-    begin = np.full(count, skipped)
-    excerpt = Excerpt(np.ones(count, bool), begin, repeat, begin, recorded, cycles)
+    begin = (DRIVEN_RETURNS if driving is not scene else 0) * period
+    recorded = begin + (cycles + REPEAT_MARGIN) * period
+    excerpt = Excerpt(np.ones(count, bool), begin, cycles * period, begin, recorded, cycles)
     multipliers = np.stack([ds[f"multiplier_{name}"].values for name in ("abs", "arg")], axis=2)
     for index, cell in enumerate(record_cells(scene, parameters, state, excerpt)):
         own = multipliers[index] if np.isfinite(multipliers[index]).all() else None

@@ -141,10 +141,7 @@ def page_contents(
     live: bool | None,
     progress: bool,
 ) -> tuple[xr.Dataset, Document, list[str], LiveMotions | None]:
-    """Return the dataset of a page, its JSON document, its encoded motions, and its motions on demand.
-
-    `live`: whether motions are computed on demand; None: True if the dataset's scene is a scene of the package.
-    """
+    """Return the dataset of a page, its JSON document, its encoded motions, and its motions on demand."""
     own = read_sweep(sweep) if isinstance(sweep, Mapping) else sweep
     ds, document, cells = contents_of(ds, over, own, progress)
     motions = None
@@ -171,10 +168,7 @@ def blocks_of(cells: Iterable[Cell]) -> list[str]:
 
 
 def page_text(document: Document, blocks: Sequence[str] = ()) -> str:
-    """Return the explorer page as HTML; if its JSON document has the key `live`, it requests motions from its server.
-
-    The content security policy restricts the browser to the page's own script and style; nothing is loaded.
-    """
+    """Return the explorer page as HTML; with the key `live`, it requests motions from its server."""
     is_live = "live" in document
     modules = (*LIVE_MODULES, "begin.js", "served.js") if is_live else ("begin.js", "page.js")
     script = f'\n(() => {{\n"use strict";\n{module_text(*modules)}\n}})();\n'
@@ -193,10 +187,7 @@ def page_text(document: Document, blocks: Sequence[str] = ()) -> str:
 
 
 def style_text(live: bool = False) -> str:
-    """Return the style sheet; all its rules apply below the class `vibrojax` or to names that begin with `vx-`.
-
-    `live`: whether to include the rules of a page whose motions are computed on demand.
-    """
+    """Return the style sheet, whose rules apply below the class `vibrojax` or to names that begin with `vx-`."""
     return _file("page.css") + (_file("live.css") if live else "")
 
 
@@ -210,10 +201,9 @@ def _file(name: str) -> str:
 
 
 def content_policy(scripts: Sequence[str], styles: Sequence[str], asks: bool = False) -> str:
-    """Return the policy of a page that may use only these scripts and style sheets.
+    """Return the policy of a page that may use only scripts and style sheets with these contents.
 
-    **Arguments:** `scripts`, `styles`: the content of each element, between its tags; `asks`: whether the page may send
-    requests to its own server.
+    `asks`: whether the page may send requests to its own server.
     """
 
     def hashes(texts: Sequence[str]) -> str:

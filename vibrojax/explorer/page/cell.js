@@ -1,6 +1,6 @@
 // The chosen cell: its orbit in phase planes, its time history, spectrum, returns and multipliers.
 import { EVENTS, STUCK } from "./decode.js";
-import { framed, inkOf, limitsOf, line, mark, numberText, read } from "./plots.js";
+import { framed, inkOf, limitsOf, line, mark, numberText, read, uprightLine } from "./plots.js";
 
 const COLOURED = { x1: "bit", v1: "bit", x2: "striker", v2: "striker", x3: "bit", v3: "bit", x4: "rock",
   applied_force: "faint", rock_force: "ink", impact_force: "impact", friction_force: "ink" };
@@ -84,8 +84,12 @@ export function drawPlane(canvas, cell, [position, velocity], k, others = []) {
     { limits: all(xs, position.name, fx), label: withUnit(symbolOf(position.name), ux) },
     { limits: all(ys, velocity.name, fy), label: withUnit(symbolOf(velocity.name), uy) },
     (c, sx, sy) => {
-      for (const { motion, colour } of others)
-        if (position.name in motion.states) line(c, scaled(motion.states[position.name], fx), scaled(motion.states[velocity.name], fy), sx, sy, colour, 1.6);
+      for (const { motion: { states }, colour, title } of others) {
+        if (!(position.name in states)) continue;
+        const [us, vs] = [scaled(states[position.name], fx), scaled(states[velocity.name], fy)];
+        line(c, us, vs, sx, sy, colour, 1.6);
+        read(title, us, vs, { joined: true });
+      }
       line(c, xs, ys, sx, sy, colourOf(ink, position.name, k), cell.kind === "orbit" ? 2 : 1.2);
       read("", xs, ys, { joined: true });
       if (bit) line(c, stuckParts(cell, xs), ys, sx, sy, ink.stick, 4);
@@ -155,10 +159,10 @@ function drawBand(c, xs, ys, sx, sy, { left, right }, colour) {
     if (k in ends) ends[k] = [Math.min(ends[k][0], ys[i]), Math.max(ends[k][1], ys[i])];
   });
   c.fillStyle = colour;
-  c.globalAlpha = 0.35;
+  c.globalAlpha = 0.25;
   ends.forEach(([low, high], k) => { if (high >= low) c.fillRect(left + k * BAND_PIXELS, sy(high), BAND_PIXELS, Math.max(1, sy(low) - sy(high))); });
   c.globalAlpha = 1;
-  const edge = (which) => line(c, ends.flatMap((_, k) => [k, k + 1]), ends.flatMap((one) => [one[which], one[which]]), (k) => left + k * BAND_PIXELS, sy, colour, 0.9);
+  const edge = (which) => line(c, ends.flatMap((_, k) => [k, k + 1]), ends.flatMap((one) => [one[which], one[which]]), (k) => left + k * BAND_PIXELS, sy, colour, 1.4);
   edge(0);
   edge(1);
 }
@@ -177,7 +181,7 @@ export function drawCourse(canvas, course, columns, isLast) {
         if (canvas.dense) drawBand(c, course.time, ys, sx, sy, box, colourOf(ink, one.name, k)); else line(c, course.time, ys, sx, sy, colourOf(ink, one.name, k), wide ?? 0.9);
         read(forces ? one.long_name : symbolOf(one.name), course.time, ys, { joined: true });
       });
-      if (course.observed) line(c, [course.observed, course.observed], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [4, 3]);
+      if (course.observed) uprightLine(c, sx(course.observed), box, ink.ink, 1.2, [4, 3]);
     }, { left: 62 });
 }
 

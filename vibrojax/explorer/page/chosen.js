@@ -4,7 +4,7 @@ import { el, explained } from "./dom.js";
 import { interactive } from "./interact.js";
 import { stateAt } from "./machine.js";
 import { csvOf, download, fileName } from "./paper.js";
-import { drawSigns, entry, inkOf, line, mark, numberText, prepared } from "./plots.js";
+import { distance, drawSigns, entry, inkOf, leastOf, mark, numberText, prepared, uprightLine } from "./plots.js";
 
 const EVENT_KEYS = { 1: ["stick", "s"], 2: ["slip", "^"], 3: ["impact", "D"] };
 const MASS_KEYS = [["x1", "bit", "bit"], ["x2", "striker", "striker"], ["x3", "bit", "bit"], ["x4", "hole", "rock"]];
@@ -41,10 +41,8 @@ function textOf(page, motion) {
   return described(motion, value === undefined ? undefined : PERIODIC.includes(value) ? cyclesOf(page, motion) : value === IRREGULAR ? 0 : null);
 }
 
-const capital = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
-
 function head(page, motion) {
-  let text = capital(page.data.without || (page.data.lanes ? "no motion is kept here" : ""));
+  let text = (page.data.without || (page.data.lanes ? "no motion is kept here" : "")).replace(/^./, (first) => first.toUpperCase());
   if (motion) text = textOf(page, motion) + (motion.kind !== "none" && motion.note && motion.returns ? ` (${motion.note})` : "");
   const [badge, meaning] = regimeOf(page, motion), moves = motion && motion.kind !== "none";
   return el("div", { class: "vx-cellhead" }, el("h2", { text: page.titleOf() }), ...badge,
@@ -83,7 +81,7 @@ function panel(page, title, draw, about, { extra = "", more = [], at, table, key
     if (!at || !frame || time === null) return;
     const { context: c } = prepared(over[0]), { box } = frame, ink = inkOf(canvas);
     for (const [x, y, colour] of at(time)) {
-      if (y === null) line(c, [x, x], [frame.y.inverse(box.bottom), frame.y.inverse(box.top)], frame.x, frame.y, ink.ink, 1.2);
+      if (y === null) uprightLine(c, frame.x(x), box, ink.ink);
       else mark(c, "o", frame.x(x), frame.y(y), 5, ink[colour] ?? colour, ink.plate);
     }
   };
@@ -115,12 +113,8 @@ function planePanels(page, motion, planes) {
     const click = (place) => {  // the cursor goes to the nearest sample
       const [fx, fy] = factors(), { frame } = page.player.panels[k].canvas ?? {};
       if (!frame) return;
-      let best = 0, least = Infinity;
-      motion.time.forEach((_, i) => {
-        const away = Math.hypot(frame.x(motion.states[x.name][i] * fx) - place[0], frame.y(motion.states[y.name][i] * fy) - place[1]);
-        if (away < least) { least = away; best = i; }
-      });
-      page.player.to(motion.time[best]);
+      const away = Array.from(motion.time, (_, i) => distance(place, [frame.x(motion.states[x.name][i] * fx), frame.y(motion.states[y.name][i] * fy)]));
+      page.player.to(motion.time[leastOf(away)]);
     };
     const events = x.name === "x2" ? [3] : [1, 2, 3];
     return panel(page, `Phase plane, ${title(k)}`, (canvas) => drawPlane(canvas, motion, plane, k, page.pinned(motion)), textOf(page, motion),
@@ -140,13 +134,18 @@ function historyPanels(page, motion) {
   });
 }
 
+/** A list of states, of which one is chosen: at first the striker's velocity, where it is among them. */
+function stateChoice({ shown, current }, key, names, label) {
+  if (!names.includes(shown[key])) shown[key] = names.includes("v2") ? "v2" : names.at(-1);
+  return el("select", { "aria-label": label, "data-control": key, onchange: (event) => { shown[key] = event.target.value; current.draw(); } },
+    ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown[key] })));
+}
+
 /** A state of the shown and of the pinned motions over the share of a return, where one is pinned. */
 function phasePanel(page, motion) {
   const others = page.pinned(motion), { shown } = page, names = motion.columns.map((one) => one.name);
   if (!others.length) return [];
-  if (!names.includes(shown.phase)) shown.phase = names.includes("v2") ? "v2" : names.at(-1);
-  const choice = el("select", { "aria-label": "State over the phase", onchange: (event) => { shown.phase = event.target.value; page.current.draw(); } },
-    ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.phase })));
+  const choice = stateChoice(page, "phase", names, "State over the phase");
   const all = () => [...others, { motion, colour: null }].filter((one) => shown.phase in one.motion.states);
   return [panel(page, "Over the phase", (canvas) => drawPhase(canvas, all(), motion.columns.find((one) => one.name === shown.phase)),
     `${shown.phase} of the shown and the pinned motions over the share of a return`, { extra: "vx-wide", more: [choice], keys: () => pinKeys(page, motion) })];
@@ -156,10 +155,7 @@ function phasePanel(page, motion) {
 function returnsPanel(page, motion) {
   const names = Object.keys(motion.section), { shown } = page;
   if (!names.length || !motion.section[names[0]].length) return [];
-  if (!names.includes(shown.returns)) shown.returns = names.at(-1);
-  const choice = el("select", { "aria-label": "State at the returns", "data-control": "returns",
-    onchange: (event) => { shown.returns = event.target.value; page.current.draw(); } },
-    ...names.map((name) => el("option", { value: name, text: symbolOf(name), selected: name === shown.returns })));
+  const choice = stateChoice(page, "returns", names, "State at the returns");
   const unitsOf = (name) => motion.columns.find((one) => one.name === name)?.units ?? "m";
   return [panel(page, "Returns", (canvas) => drawReturns(canvas, motion, shown.returns, unitsOf(shown.returns)),
     `${motion.section[names[0]].length} returns to the section`, { more: [choice], table: () => Object.fromEntries(names.map((name) => [name, Array.from(motion.section[name])])) })];
@@ -222,7 +218,7 @@ function spreadText(page, motion, variable, value) {
 export function numbersOf(page, motion, pins = []) {
   const { grid, named } = page, irregular = cyclesOf(page, motion) === 0, rows = [], missing = [], apart = [...grid.startAxes, "attractor"].filter((axis) => !named.includes(axis));
   for (const variable of grid.variables.values()) {
-    if (variable.inner || variable.axes.includes("form") || grid.variables.has(variable.name.replace(/_worst$/, "")) && variable.name.endsWith("_worst")) continue;
+    if (variable.inner || ["form", "lane"].some((axis) => variable.axes.includes(axis)) || grid.variables.has(variable.name.replace(/_worst$/, "")) && variable.name.endsWith("_worst")) continue;
     const { name } = variable, worst = grid.variables.get(`${name}_worst`), ofMotion = motion?.numbers && name in motion.numbers;
     if (!page.point && variable.axes.some((axis) => apart.includes(axis))) continue;
     // An attractor without a start has a share of zero, and no motion.

@@ -77,7 +77,7 @@ export class Computing {
   title(parameters, start) {
     const changed = this.offered.parameters.filter(({ name }) => parameters[name] !== this.at[name]);
     const texts = changed.map(({ name, symbol, factor, units }) => `${symbol} = ${numberText(parameters[name] * factor, 4)} ${units}`.trim());
-    if (JSON.stringify(start) !== JSON.stringify(this.from)) texts.push(`start ${Array.isArray(start) ? this.written(start) : start}`);
+    if (JSON.stringify(start) !== JSON.stringify(this.from)) texts.push(`start ${Array.isArray(start) ? `[${start.join(", ")}]` : start}`);
     return texts.length ? `With ${texts.join(", ")}` : "";
   }
 
@@ -85,6 +85,4 @@ export class Computing {
     const usual = new Map(this.offered.parameters.map((one) => [one.name, one.default]));
     return Object.fromEntries(Object.entries(parameters).filter(([name, value]) => value !== usual.get(name)));
   }
-
-  written(start) { return Array.isArray(start) ? `[${start.join(", ")}]` : start; }
 }

@@ -25,17 +25,17 @@ function maker(id) {
   };
 }
 
-/** How directions are called in lists: by label and symbol, by the symbol alone where that is long. */
-function namer(along) {
+/** How directions are called in lists: by label and symbol, by the symbol alone where that is longer than `most`. */
+function namer(along, most) {
   return ({ column }) => {
     const { label, symbol } = column, whole = symbol === column.name || symbol === label ? label : `${label}, ${symbol}`;
-    if (whole.length < 27) return whole;
-    return label.length < 26 && along.filter((other) => other.column.label === label).length === 1 ? label : symbol;
+    if (whole.length <= most) return whole;
+    return label.length < most && along.filter((other) => other.column.label === label).length === 1 ? label : symbol;
   };
 }
 
-function directionControls(page, make) {
-  const { shown } = page, along = page.directions.filter((one) => page.along(one)), x = page.direction(shown.x), name = namer(along);
+function directionControls(page, make, most) {
+  const { shown } = page, along = page.directions.filter((one) => page.along(one)), x = page.direction(shown.x), name = namer(along, most);
   if (along.length < 2) return [];
   const listed = (some) => some.map((one) => [one.id, name(one)]);
   const found = [make.select("x", "To the right", listed(along), shown.x, (value) => page.show({ x: value }))];
@@ -105,11 +105,14 @@ function overControls(page, make) {
 /** The controls of what a page shows. */
 export function controlsOf(page) {
   const make = maker(page.id), variables = [...page.grid.variables.values()].map((one) => [one.name, one.name.replaceAll("_", " ")]);
-  return [
+  if (!page.shown.x) return page.facets().filter((name) => name === "start").map((name) => facetControl(page, make, name));
+  const controls = (most) => [
     make.select("variable", "Variable", variables, page.shown.variable, (value) => page.show({ variable: value })),
-    ...directionControls(page, make),
+    ...directionControls(page, make, most),
     ...page.facets().map((facet) => facetControl(page, make, facet)),
     ...amongControl(page, make),
     ...overControls(page, make),
   ];
+  const all = controls(26);
+  return all.length > 4 && page.element.clientWidth < 480 ? controls(16) : all;  // on a phone, many stand in three columns
 }

@@ -14,6 +14,9 @@ export const el = (tag, attributes = {}, ...children) => {
   return one;
 };
 
+/** Where an event is in an element. */
+export const placeIn = (one, { clientX, clientY }) => { const { left, top } = one.getBoundingClientRect(); return [clientX - left, clientY - top]; };
+
 let tips = 0;
 
 /** An element with a sentence that is shown where it is pointed at or has the focus; unchanged without a sentence. */

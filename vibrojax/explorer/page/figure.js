@@ -1,8 +1,9 @@
 // Plots that the analysis of a dataset describes: lines, points, areas, cells and texts, linked to the chosen cell.
 import { unpack } from "./decode.js";
 import { el, explained } from "./dom.js";
+import { placesOf } from "./grid.js";
 import { interactive, readingAt } from "./interact.js";
-import { entry, FONT, framed, inkOf, legible, line, mark, numberText, read } from "./plots.js";
+import { barElements, entry, fillCell, FONT, framed, inkOf, leastOf, legible, levelLine, line, mark, numberText, read, uprightLine } from "./plots.js";
 
 /** The colour of signs in a legend that stand for marks of any colour. */
 const INK = "#222222";
@@ -12,20 +13,21 @@ const POINT = 4 / 3;
 
 /** Draw items of a description, and have their values read by the last key that looks the same; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink, keys = []) {
-  const nameOf = (item, colour, ...shapes) => item.label || (keys.findLast((key) => key.colour === colour && (!shapes.length || shapes.includes(key.shape)))?.text ?? "");
-  const labels = new Set(keys.filter(({ shape }) => shape !== "scale" && shape !== "patch").map((key) => key.colour));
+  const alike = (colour, ...shapes) => keys.findLast((key) => key.colour === colour && (shapes.includes(key.shape) || (!shapes.length && colour !== INK)));
+  const nameOf = (item, colour, ...shapes) => item.label || ((alike(colour, ...shapes) ?? alike(colour))?.text ?? "");
+  const labels = new Set(keys.filter(({ shape }) => shape !== "patch").map((key) => key.colour));
   for (const item of items) {
     const { x, y } = item, colour = (text) => legible(text, ink);
     if (item.kind === "line") {
       line(c, x, y, sx, sy, colour(item.colour), Math.max(1, item.width), item.dash);
       read(nameOf(item, item.colour, "line"), x, y, { joined: true });
     } else if (item.kind === "points") {
-      const { colours, sizes } = item;
+      const { colours, sizes } = item, faint = colours.some((own) => colour(own) !== own);
       x.forEach((value, k) => {
         if (value === null || y[k] === null) return;
         const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 || labels.has(own) ? colour(own) : own, size = POINT * Math.max(1.2, sizes[k % sizes.length] ?? 2);
         if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, item.hollow === "none" ? "transparent" : ink.plate, colour(own));
-        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(shade) !== shade ? ink.faint : size > 2.6 ? ink.plate : null);
+        else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(shade) !== shade || (size > 2.6 && faint && shade === own) ? ink.faint : size > 2.6 ? ink.plate : null);
       });
       read(nameOf(item, colours[0], item.shape, "line"), x, y);
     } else if (item.kind === "area") {
@@ -38,43 +40,39 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       c.globalAlpha = 1;
       const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
       if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]] });
-      else if (name) read(name, x.slice(0, half), top, { texts: top.map((high, k) => numberText(high - y[k])) });
+      else if (name) read(name, x.slice(0, half), top, { low: y.slice(0, half), texts: top.map((high, k) => numberText(high - y[k])) });
     } else if (item.kind === "cells" && item.levels) {
       const wide = x.length - 1, across = [], up = [];
       item.levels.forEach((level, k) => {
-        const i = k % wide, j = Math.floor(k / wide), [x0, x1, y0, y1] = [sx(x[i]), sx(x[i + 1]), sy(y[j]), sy(y[j + 1])];
+        const i = k % wide, j = Math.floor(k / wide);
         c.fillStyle = level < 0 ? ink.undefined : item.colours[level];
-        if (level >= 0 || item.hatched) c.fillRect(Math.floor(Math.min(x0, x1)), Math.floor(Math.min(y0, y1)), Math.ceil(Math.abs(x1 - x0)) + 0.5, Math.ceil(Math.abs(y1 - y0)) + 0.5);
+        if (level >= 0 || item.hatched) fillCell(c, sx(x[i]), sx(x[i + 1]), sy(y[j]), sy(y[j + 1]));
         across.push((x[i] + x[i + 1]) / 2);
         up.push((y[j] + y[j + 1]) / 2);
       });
       read("", across, up, { edges: [x, y], texts: item.values.map((value) => item.names[String(value)] ?? (value === null ? "no value" : numberText(value))) });
     } else if (item.kind === "text") {
-      const over = items.some((one) => one.kind === "cells");
-      c.font = `11px ${FONT}`;
-      c.textAlign = item.align;
-      c.textBaseline = item.baseline;
-      c.fillStyle = over ? item.colour : ink.ink;
+      const over = items.some((one) => one.kind === "cells"), left = { left: 0, center: 0.5, right: 1 }[item.align], top = { top: 0, middle: 0.5, bottom: 1 }[item.baseline];
+      Object.assign(c, { font: `11px ${FONT}`, textAlign: item.align, textBaseline: item.baseline, fillStyle: ink.plate, globalAlpha: 0.8 });
+      const wide = c.measureText(item.text).width + 4;
+      if (!over) c.fillRect(sx(x[0]) - left * wide, sy(y[0]) - 14 * top, wide, 14);  // on hatches and lines it would not be read
+      Object.assign(c, { fillStyle: over ? item.colour : ink.ink, globalAlpha: 1 });
       c.fillText(item.text, sx(x[0]), sy(y[0]));
     }
   }
 }
 
-/** Where a value of a direction is along its axis; names are numbered. */
-const placeOf = ({ numeric, values, factor }, k) => (numeric ? (typeof values[k] === "number" ? values[k] * factor : undefined) : k);
-
 /** The place of the chosen cell along a direction of the page; undefined without one. */
 function chosenAt(page, id) {
   const direction = id && page.direction(id);
-  return direction ? placeOf(direction.column, page.cell[direction.axis.name]) : undefined;
+  return direction ? placesOf(direction.column)[page.cell[direction.axis.name]] : undefined;
 }
 
 /** The entries of a legend for what a plot shows. */
 function keysIn({ items }, keys) {
-  const shows = { line: ["line", "points"], patch: ["area", "cells"], scale: ["points", "cells", "line"] };
+  const shows = { line: ["line", "points"], patch: ["area", "cells"] };
   return keys.filter((key) => items.some((item) => {
     const own = item.colours ?? [item.colour], drawn = (shows[key.shape] ?? ["points"]).includes(item.kind);
-    if (key.shape === "scale") return drawn && (item.kind === "cells" ? !Object.keys(item.names).length : own.length > 1);
     return item.label === key.text || (drawn && (own.includes(key.colour) || (key.colour === INK && item.shape === key.shape)));
   }));
 }
@@ -82,12 +80,13 @@ function keysIn({ items }, keys) {
 export class Figure {
   constructor(page, data) {
     this.page = page;
-    this.plots = data.plots.map((plot) => this.plot(plot, data.keys));
+    const shared = data.bars.filter((_, k) => data.plots.filter(({ bar }) => bar === k).length > 1);
+    this.plots = data.plots.map((plot) => this.plot(plot, data, shared));
     const legend = el("ul", { class: "vx-figurekeys" }, ...data.keys.map((key) => entry(key, explained(el("span", { text: key.text }), page.data.meanings?.[key.text.split(" ")[0]]))));
     const images = data.images.filter((one) => one.data.startsWith("data:image/png;base64,"))
       .map((one) => el("figure", { class: "vx-panel vx-wideplot" }, el("img", { src: one.data, alt: one.title || page.data.title })));
     const tracks = this.plots.filter(({ track }) => track), together = tracks.length ? [el("div", { class: "vx-tracks" }, ...tracks.map((one) => one.figure))] : [];
-    this.element = el("div", { class: "vx-figure" }, ...(data.keys.length ? [legend] : []),
+    this.element = el("div", { class: "vx-figure" }, ...shared.flatMap(barElements), ...(data.keys.length ? [legend] : []),
       el("div", { class: "vx-plots" }, ...this.plots.filter(({ track }) => !track).map((one) => one.figure), ...together, ...images), ...(data.note ? [el("p", { class: "vx-notes", text: data.note })] : []));
   }
 
@@ -96,18 +95,19 @@ export class Figure {
     await Promise.all(items.map(async (item) => { item.levels = await unpack(item.data); }));
   }
 
-  plot(plot, keys) {
+  plot(plot, { keys, bars }, shared) {
+    const bar = bars[plot.bar];
     const words = plot.title || [plot.y.label, plot.x.label].filter(Boolean).join(" over ").replace(/ \[[^\]]*\]/g, "") || "plot";
     const canvas = el("canvas", { role: "img", "aria-label": words });
     const draw = (paper) => this.paint(paper, plot), linked = plot.x.direction || plot.y.direction || Object.keys(plot.at).length || this.page.data.map === false;
     const tools = interactive(canvas, draw, {
-      about: () => this.page.about(words, { keys: keysIn(plot, keys), name: words, notes: [this.page.data.title, this.page.data.common, this.page.data.figure.note] }),
+      about: () => this.page.about(words, { keys: keysIn(plot, keys), bar, name: words, notes: [this.page.data.title, this.page.data.common, this.page.data.figure.note] }),
       click: linked ? (place) => this.pick(canvas, plot, place) : undefined,
       zoomed: () => this.page.tell(),
     });
     this.page.keepZoom(canvas, tools);
     const size = `${plot.wide ? " vx-wideplot" : ""}${plot.low ? " vx-lowplot" : ""}${linked ? " vx-linked" : ""}`;
-    const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, tools.band);
+    const figure = el("figure", { class: `vx-panel${size}` }, el("figcaption", {}, el("span", { text: plot.title || words }), tools.menu), canvas, ...(bar && !shared.includes(bar) ? barElements(bar) : []), tools.band);
     // Of panels at other values than those of the controls, the page shows none.
     const names = Object.keys(plot.at), here = () => !this.page.shown.x && names.length > 0 && names.every((name) => plot.at[name] === this.page.cell[name]);
     const hides = () => this.page.facets().some((name) => name in plot.at && plot.at[name] !== this.page.cell[name]);
@@ -118,14 +118,17 @@ export class Figure {
     const { page } = this, ink = inkOf(canvas), figure = canvas.closest?.("figure");
     const axis = (one) => ({ ...one, ticks: one.ticks ?? undefined });
     framed(canvas, ink, axis(plot.x), { ...axis(plot.y), bare: plot.bare && !canvas.source && figure.offsetLeft > figure.parentNode.firstChild.offsetLeft }, (c, sx, sy, box) => {
+      const bars = plot.items.some(({ at }) => at), here = !canvas.source && Object.entries(plot.at).every(([name, k]) => page.cell[name] === k);  // no cursor in a file, and beside the chosen cell
+      const [x, y] = here ? [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)] : [];
+      const cursor = () => {
+        if (x !== undefined) uprightLine(c, sx(x), box, ink.ink, 1.2, [3, 3]);
+        if (y !== undefined) levelLine(c, sy(y), box, ink.ink, 1.2, [3, 3]);
+      };
+      if (bars) cursor();  // below bars and their numbers
       drawItems(c, plot.items, sx, sy, ink, page.data.figure.keys);
-      const [x, y] = [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)];
-      if (canvas.source || Object.entries(plot.at).some(([name, k]) => page.cell[name] !== k)) return;  // no cursor in a file, and beside the chosen cell
-      const lists = this.lists(canvas), dot = lists[page.cell.start ?? 0] ?? lists[0];
+      const lists = here ? this.lists(canvas) : [], dot = lists[page.cell.start ?? 0] ?? lists[0];
       const [u, v] = dot ? [dot.xs[page.cell.point], dot.ys[page.cell.point]] : [x, y];
-      if (u !== undefined && v !== undefined) { mark(c, "o", sx(u), sy(v), 7, "transparent", ink.plate); mark(c, "o", sx(u), sy(v), 6, "transparent", ink.ink); return; }
-      if (x !== undefined) line(c, [x, x], [sy.inverse(box.bottom), sy.inverse(box.top)], sx, sy, ink.ink, 1.2, [3, 3]);
-      if (y !== undefined) line(c, [sx.inverse(box.left), sx.inverse(box.right)], [y, y], sx, sy, ink.ink, 1.2, [3, 3]);
+      if (u !== undefined && v !== undefined) { mark(c, "o", sx(u), sy(v), 7, "transparent", ink.plate); mark(c, "o", sx(u), sy(v), 6, "transparent", ink.ink); } else if (!bars) cursor();
     }, { square: plot.square, grid: !plot.items.some((item) => item.kind === "cells") });
   }
 
@@ -141,17 +144,13 @@ export class Figure {
     if (!frame) return;
     const dot = readingAt({ frame, readings: lists }, [px, py]);
     if (dot) { page.pick({ ...cell, point: dot.k, ...(lists.length > 1 ? { start: lists.indexOf(dot.series) } : {}) }); return; }
-    const ways = [["x", px], ["y", py]].map(([name, pixel]) => [page.direction(plot[name].direction), frame[name], pixel]).filter(([way]) => way);
-    if (!ways.length && !Object.keys(plot.at).length) return;
-    const byAxis = new Map();
-    for (const way of ways) byAxis.set(way[0].axis.name, [...(byAxis.get(way[0].axis.name) ?? []), way]);
-    for (const [name, some] of byAxis) {
-      let least = Infinity;
-      page.grid.axes.get(name).values.forEach((_, k) => {
-        const away = Math.hypot(...some.map(([way, scale, pixel]) => scale(placeOf(way.column, k)) - pixel));
-        if (away < least) { least = away; cell[name] = k; }
-      });
+    const squares = {};  // of the distances, by axis: both columns of a list are along one
+    for (const [name, pixel] of [["x", px], ["y", py]]) {
+      const way = page.direction(plot[name].direction);
+      if (way) placesOf(way.column).forEach((value, k) => { const all = (squares[way.axis.name] ??= []); all[k] = (all[k] ?? 0) + (frame[name](value) - pixel) ** 2; });
     }
+    if (!Object.keys({ ...squares, ...plot.at }).length) return;
+    for (const [name, all] of Object.entries(squares)) cell[name] = Math.max(0, leastOf(all));
     page.pick(cell);
   }
 

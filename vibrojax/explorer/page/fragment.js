@@ -1,12 +1,7 @@
 // What is chosen, as it stands in the fragment of an address, to and fro.
+import { leastOf } from "./plots.js";
 
 const byValue = (axis) => axis.numeric && !axis.columns.length;
-
-function nearest(values, wanted) {
-  let best = 0;
-  values.forEach((one, k) => { if (Math.abs(one - wanted) < Math.abs(values[best] - wanted)) best = k; });
-  return best;
-}
 
 /** The fragment, without its #, of {shown, cell, scheme, pins, zoom, zooms} of a page; a scheme only where one was chosen. */
 export function fragmentOf(data, { shown, cell, scheme, pins, zoom, zooms = [] }) {
@@ -31,7 +26,7 @@ export function readFragment(data, text) {
   for (const axis of data.axes) {
     const said = given.get(`at.${axis.name}`), value = Number(said);
     if (said === null || said === "" || !Number.isFinite(value)) continue;
-    cell[axis.name] = byValue(axis) ? nearest(axis.values, value) : Math.max(0, Math.min(axis.values.length - 1, Math.round(value)));
+    cell[axis.name] = byValue(axis) ? leastOf(axis.values.map((one) => Math.abs(one - value))) : Math.max(0, Math.min(axis.values.length - 1, Math.round(value)));
   }
   const limits = (text) => {
     const [left, right, low, high] = (text ?? "").split("_").map(Number);

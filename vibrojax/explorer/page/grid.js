@@ -129,10 +129,15 @@ export class Grid {
   }
 }
 
+/** Where the values of an axis, or of a column, are in a plot; names are numbered. */
+export const placesOf = ({ numeric, values, factor }) => values.map((value, k) => (!numeric ? k : value === null ? NaN : value * factor));
+
+/** The ticks of names. */
+export const ticksOf = ({ numeric, values }) => (numeric ? undefined : values.map((text, k) => [k, text]));
+
 /** The ends of the cells around values: half-way, in the logarithm for geometric ones. */
 export function edgesOf(axis) {
-  const n = axis.values.length;
-  const values = axis.numeric ? axis.values.map((v) => v * axis.factor) : axis.values.map((_, k) => k);
+  const n = axis.values.length, values = placesOf(axis);
   if (n === 1) { const half = Math.abs(values[0]) * 0.1 || 0.5; return { values, edges: [values[0] - half, values[0] + half] }; }
   const map = axis.log ? Math.log : (x) => x, back = axis.log ? Math.exp : (x) => x, at = values.map(map);
   const edges = [at[0] - (at[1] - at[0]) / 2];

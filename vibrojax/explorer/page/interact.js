@@ -1,7 +1,7 @@
 // What a plot offers besides being seen: its values, a box to zoom into, panning, pinching, reset, and files of it.
-import { el } from "./dom.js";
+import { el, placeIn } from "./dom.js";
 import { csvOf, download, fileName, picture } from "./paper.js";
-import { nameAt, readText } from "./plots.js";
+import { distance, nameAt, nearestOn, readText } from "./plots.js";
 
 const LEAST_DRAG = 6, NEAR = 26, DOUBLE_CLICK = 260;
 
@@ -16,24 +16,32 @@ function limitsAt(scale, ends, log, factor, around, shift = 0) {
 export function readingAt({ frame, readings = [] }, [px, py]) {
   let found = null, least = NEAR;
   const offer = (series, k, u, v) => {
-    const away = Math.hypot(u - px, v - py);
+    const away = distance([u, v], [px, py]);
     if (away < least) { least = away; found = { series, k, x: series.joined ? frame.x.inverse(u) : series.xs[k], y: series.joined ? frame.y.inverse(v) : series.ys[k] }; }
   };
   for (const series of readings) {
-    if (series.edges) continue;
+    if (series.edges || series.low) continue;
     series.xs.forEach((x, k) => {
       const [u, v] = [frame.x(x), frame.y(series.ys[k])];
       if (!Number.isFinite(u + v)) return;
       if (!series.joined || !k) { offer(series, k, u, v); return; }
-      const [a, b] = [frame.x(series.xs[k - 1]), frame.y(series.ys[k - 1])], [du, dv] = [u - a, v - b];
-      const share = Math.max(0, Math.min(1, ((px - a) * du + (py - b) * dv) / (du * du + dv * dv || 1)));
-      if (Number.isFinite(a + b)) offer(series, k, a + share * du, b + share * dv);
+      const before = [frame.x(series.xs[k - 1]), frame.y(series.ys[k - 1])];
+      if (before.every(Number.isFinite)) offer(series, k, ...nearestOn([px, py], before, [u, v]));
     });
   }
   const inside = (edges, value) => edges.findIndex((edge, k) => k > 0 && (value - edges[k - 1]) * (value - edge) <= 0) - 1;
-  for (const series of found?.series.name ? [] : readings.filter((one) => one.edges)) {
-    const [i, j] = [inside(series.edges[0], frame.x.inverse(px)), inside(series.edges[1], frame.y.inverse(py))], k = j * (series.edges[0].length - 1) + i;
-    if (i >= 0 && j >= 0) found = { series, k, x: series.xs[k], y: series.ys[k] };
+  if (found?.series.name) return found;
+  for (const series of readings) {
+    const { xs, ys, edges, low } = series, [x, y] = [frame.x.inverse(px), frame.y.inverse(py)];
+    let k = -1;
+    if (edges) {
+      const [i, j] = [inside(edges[0], x), inside(edges[1], y)];
+      if (i >= 0 && j >= 0) k = j * (edges[0].length - 1) + i;
+    } else if (low) {
+      const n = inside(xs, x), share = (x - xs[n]) / (xs[n + 1] - xs[n] || 1), at = (values) => values[n] + share * (values[n + 1] - values[n]);
+      if (n >= 0 && (y - at(low)) * (y - at(ys)) <= 0) k = share < 0.5 ? n : n + 1;
+    }
+    if (k >= 0) found = { series, k, x: xs[k], y: ys[k] };
   }
   return found;
 }
@@ -45,7 +53,7 @@ function tableOf({ readings = [], frame }) {
   if (names) columns.name = all((one) => one.name);
   columns[name(frame?.xAxis, "x")] = all((one, k) => nameAt(frame.xAxis, one.xs[k]) ?? one.xs[k]);
   columns[name(frame?.yAxis, "y")] = all((one, k) => nameAt(frame.yAxis, one.ys[k]) ?? one.ys[k]);
-  if (texts) columns.value = all((one, k) => one.texts?.[k] ?? "");
+  if (texts) columns.value = all((one, k) => (one.texts?.[k] ?? "").replaceAll("−", "-"));
   return columns;
 }
 
@@ -74,13 +82,10 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     if (limits[0] && limits[1]) set(limits);
   };
   const scaledBy = (factor, at) => { if (canvas.frame) scaled(canvas.frame, factor, at); };
-  const place = (event) => {
-    const box = canvas.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
-  };
+  const place = (event) => placeIn(canvas, event);
   const isInside = ([x, y], { left, right, top, bottom }) => x > left - 1 && x < right + 1 && y > top - 1 && y < bottom + 1;
   const inside = ([x, y], { box }) => [Math.max(box.left, Math.min(box.right, x)), Math.max(box.top, Math.min(box.bottom, y))];
-  const middleOf = ([a, b]) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart = ([a, b]) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+  const middleOf = ([a, b]) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
 
   /** Say what is read at a place of the plot; null: nothing. */
   function tell(found) {
@@ -88,7 +93,7 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     tip.hidden = ring.hidden = !found;
     if (!found) return;
     const { x: sx, y: sy, xAxis, yAxis } = canvas.frame, { series, k } = found, [u, v] = [sx(found.x) + canvas.offsetLeft, sy(found.y) + canvas.offsetTop];
-    const up = readText(series.name ? { ...yAxis, said: (yAxis.said ?? yAxis.label ?? "").replace(/^[^[]*(?=\[|$)/, " ") } : yAxis, found.y), text = series.texts?.[k];
+    const up = readText(series.name ? { ...yAxis, said: (yAxis.said ?? yAxis.label ?? "").replace(/^[^[]*(?=\[)/, " ") } : yAxis, series.low ? found.y - series.low[k] : found.y), text = series.low ? null : series.texts?.[k];
     canvas.parentNode.append(ring, tip);
     tip.replaceChildren(...[[series.name, text ?? up].filter(Boolean).join(": "), ...(text && series.edges ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
     ring.style.cssText = `left:${u}px;top:${v}px`;
@@ -128,11 +133,11 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     if (pinched) {
       const ends = [...touches.values()], [was, is] = [middleOf(pinched.ends), middleOf(ends)];
       dragged = true;
-      scaled(pinched.frame, apart(ends) / (apart(pinched.ends) || 1), was, [is[0] - was[0], is[1] - was[1]]);
+      scaled(pinched.frame, distance(...ends) / (distance(...pinched.ends) || 1), was, [is[0] - was[0], is[1] - was[1]]);
       return;
     }
     if (!from) return;
-    if (!dragged && Math.hypot(to[0] - from[0], to[1] - from[1]) < LEAST_DRAG) return;
+    if (!dragged && distance(from, to) < LEAST_DRAG) return;
     if (!dragged) over.setPointerCapture(event.pointerId);
     dragged = true;
     if (panned) scaled(panned, 1, [], [to[0] - from[0], to[1] - from[1]]);

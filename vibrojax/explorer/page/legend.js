@@ -1,8 +1,7 @@
 // What the colours, lines and marks of the map mean.
 import { el, explained } from "./dom.js";
 import { DASHES } from "./map.js";
-import { drawBar } from "./paper.js";
-import { entry, inkOf, numberText, prepared } from "./plots.js";
+import { barElements, entry } from "./plots.js";
 
 /** The cells of the plane that is shown. */
 export function* plane(page, cell = page.cell, left = axesOfPlane(page)) {
@@ -42,17 +41,19 @@ export function keysOf(page) {
   if (page.among) found.push({ text: "other motions", shape: "patch", colour: "grid" });
   if (variable.nothing_at_zero && page.shown.y && count(0)) found.push({ text: "zero", shape: "patch", colour: "#FFFFFF" });
   if (page.shown.region && data.region && [page.shown.x, page.shown.y].every((name) => name in data.region)) found.push({ text: "source's best region", shape: "line", colour: "ink" });
-  if (curves && page.shown.borders !== "off" && page.view.view.y) {
-    for (const kind of new Set(curves.list.filter((one) => page.view.onPlane(one)).map((one) => one.kind)))
-      found.push({ text: kind, shape: "line", colour: curves.colours[kind] ?? "#222222", dash: DASHES[kind], why: meanings[kind] });
-    const corners = [...new Set(page.view.corners().map((one) => one.kind))];
-    if (corners.length) found.push({ text: `where curves meet: ${corners.join(", ")}`, shape: "s", colour: "ink", hollow: true });
-  }
+  for (const kind of new Set(page.view.curves.map((one) => one.kind)))
+    found.push({ text: kind, shape: "line", colour: curves.colours[kind] ?? "#222222", dash: DASHES[kind], why: meanings[kind] });
+  const corners = [...new Set(page.view.corners.map((one) => one.kind))];
+  if (corners.length) found.push({ text: `where curves meet: ${corners.join(", ")}`, shape: "s", colour: "ink", hollow: true });
   if (family) {
     const line = { shape: "line", colour: family.runs[0]?.colour ?? "ink" }, stable = family.runs.map((run) => run.stable === 1);
     if (stable.includes(true)) found.push({ ...line, text: "stable" });
     if (stable.includes(false)) found.push({ ...line, text: "not stable", dash: [5, 4] });
     for (const [kind, shape] of new Map(family.special.map((one) => [one.kind, one.shape]))) found.push({ text: kind, shape, colour: family.kinds[kind], why: meanings[kind] });
+  }
+  for (const text of ["followed orbits, stable", "followed orbits, not stable"]) {
+    const line = page.view.over.find(({ kind, dash }) => kind === "line" && dash.length > 0 === text.includes("not"));
+    if (line) found.push({ text, shape: "line", colour: line.colour, dash: line.dash });
   }
   const hides = page.variable.name === "regime" && grid.variables.has("hidden_motion");
   if (hides && [...plane(page)].some((cell) => grid.value("hidden_motion", cell) === 1)) found.push({ text: "another start: same label, other motion", shape: "o", colour: "#222222" });
@@ -90,16 +91,9 @@ function extremes(page) {
 
 /** Draw the legend of what a page's map shows into its element. */
 export function drawLegend(page) {
-  const variable = coloured(page), bar = barOf(page), name = el("p", { class: "vx-barname", text: variable.label.replace("\n", " ") });
+  const variable = coloured(page), bar = barOf(page);
   const list = el("ul", {}, ...keysOf(page).map((key) => entry(key, explained(el("span", {}, `${key.text} `, el("small", { text: key.share ?? "" })), key.why))));
   if (variable.flags || !page.shown.y) page.legend.replaceChildren(list, ...(variable.flags ? [] : extremes(page)));
-  else if (!bar) {
-    name.append(`: ${shownValues(page, variable)[0] === 0 ? "0 everywhere" : "no value"} here`);
-    page.legend.replaceChildren(name, list);
-  } else {
-    const canvas = el("canvas", { class: "vx-bar", role: "img", "aria-label": `Colours of ${bar.label} from ${numberText(bar.low)} to ${numberText(bar.high)}` });
-    page.legend.replaceChildren(name, canvas, ...extremes(page), list);
-    const { context, width } = prepared(canvas);
-    drawBar(context, bar, 0, 0, width, inkOf(canvas));
-  }
+  else if (bar) page.legend.replaceChildren(...barElements(bar), ...extremes(page), list);
+  else page.legend.replaceChildren(el("p", { class: "vx-barname", text: `${variable.label.replace("\n", " ")}: ${shownValues(page, variable)[0] === 0 ? "0 everywhere" : "no value"} here` }), list);
 }

@@ -1,18 +1,12 @@
 // The map: cells over two axes, dots over two columns of a list, or a curve along one axis; and what lies over it.
 import { drawItems } from "./figure.js";
-import { edgesOf, labelOf } from "./grid.js";
-import { framed, inkOf, legible, limitsAndTicks, limitsOf, line, mark, markColour, prepared } from "./plots.js";
+import { edgesOf, labelOf, placesOf, ticksOf } from "./grid.js";
+import { fillCell, framed, inkOf, distance, leastOf, legible, levelLine, limitsAndTicks, limitsOf, line, mark, markColour, nearestOn, prepared, uprightLine } from "./plots.js";
 
 export const DASHES = {
   fold: [], "period-doubling": [], torus: [8, 2], grazing: [6, 2, 2, 2], stick: [], section: [2, 2], hopf: [9, 2, 2, 2], end: [1, 2],
   basin: [5, 4], "not-settled": [2, 2],
 };
-
-/** How far a place is from the straight line between two others. */
-function distanceTo([px, py], [ax, ay], [bx, by]) {
-  const [dx, dy] = [bx - ax, by - ay], share = Math.max(0, Math.min(1, ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy || 1)));
-  return Math.hypot(px - ax - share * dx, py - ay - share * dy);
-}
 
 /** The map's view: draws, says which cell is at a place, and where a cell is. */
 export class MapView {
@@ -57,27 +51,26 @@ export class MapView {
   axisOf(direction) {
     const { edges, values } = edgesOf(direction.column);
     const low = Math.min(edges[0], edges.at(-1)), high = Math.max(edges[0], edges.at(-1));
-    const named = direction.column.numeric ? undefined : direction.column.values.map((text, k) => [k, text]);
-    return { limits: [low, high], label: labelOf(direction.column), log: direction.column.log, edges, values, ticks: named };
+    return { limits: [low, high], label: labelOf(direction.column), log: direction.column.log, edges, values, ticks: ticksOf(direction.column) };
   }
 
   drawCells(canvas, x, y, variable, ink) {
     const across = this.axisOf(x), up = this.axisOf(y), grid = this.grid;
     const hidden = variable.name === "regime" && grid.variables.get("hidden_motion");
-    return framed(canvas, ink, across, up, (c, sx, sy, box) => {
+    return framed(canvas, ink, across, up, (c, sx, sy) => {
       for (let i = 0; i < across.values.length; i++) {
-        const x0 = Math.floor(sx(across.edges[i])), x1 = Math.floor(sx(across.edges[i + 1]));
+        const [x0, x1] = [sx(across.edges[i]), sx(across.edges[i + 1])];
         for (let j = 0; j < up.values.length; j++) {
           const cell = this.cellAt({ [x.axis.name]: i, [y.axis.name]: j });
-          const y0 = Math.floor(sy(up.edges[j])), y1 = Math.floor(sy(up.edges[j + 1]));
+          const [y0, y1] = [sy(up.edges[j]), sy(up.edges[j + 1])];
           c.fillStyle = this.colourAt(variable, cell, ink);
-          c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+          fillCell(c, x0, x1, y0, y1);
           if (hidden && grid.value("hidden_motion", cell) === 1 && Math.abs(x1 - x0) > 4)
             mark(c, "o", (x0 + x1) / 2, (y0 + y1) / 2, Math.min(1.8, Math.abs(x1 - x0) / 5), "#222222", "#FFFFFF");
         }
       }
       this.drawPatch(c, sx, sy, x, y, variable, ink);
-      this.drawRegion(c, sx, sy, box, x, y);
+      this.drawRegion(c, sx, sy, x, y);
       this.drawCurves(c, sx, sy, x, y);
     }, { grid: false });
   }
@@ -91,9 +84,8 @@ export class MapView {
     const [across, up] = [ends(x), ends(y)];
     patch.axes[x.axis.name].forEach((_, i) => patch.axes[y.axis.name].forEach((_, j) => {
       const [p, q] = x.axis.name === first ? [i, j] : [j, i];
-      const [x0, x1, y0, y1] = [sx(across[i]), sx(across[i + 1]), sy(up[j]), sy(up[j + 1])].map(Math.floor);
       c.fillStyle = this.grid.colour(variable, values[p * count + q], ink.undefined);
-      c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+      fillCell(c, sx(across[i]), sx(across[i + 1]), sy(up[j]), sy(up[j + 1]));
     }));
   }
 
@@ -112,60 +104,55 @@ export class MapView {
     return { at, value: values[index[first] * patch.axes[second].length + index[second]] };
   }
 
-  drawRegion(c, sx, sy, box, x, y) {
+  /** The border of the source's best region; it is open where the map cuts the region. */
+  drawRegion(c, sx, sy, x, y) {
     const ends = this.grid.data.region;
     if (!this.view.region || !ends || !(x.axis.name in ends) || !(y.axis.name in ends)) return;
-    // A region that goes on beyond the map is closed at its edge.
-    const inside = (way, scale, from, to) => ends[way.axis.name].map((v) => Math.max(Math.min(from, to) + 2, Math.min(Math.max(from, to) - 2, scale(v * way.column.factor))));
-    const [left, right] = inside(x, sx, box.left, box.right), [low, high] = inside(y, sy, box.top, box.bottom);
-    if (left >= right || high >= low) return;
-    for (const [colour, width] of [["#FFFFFF", 3.5], ["#222222", 1.5]]) {
-      c.strokeStyle = colour;
-      c.lineWidth = width;
-      c.strokeRect(left, high, right - left, low - high);
-    }
+    const [[left, right], [low, high]] = [[x, sx], [y, sy]].map(([way, scale]) => ends[way.axis.name].map((v) => scale(v * way.column.factor)));
+    for (const [strokeStyle, lineWidth] of [["#FFFFFF", 3.5], ["#222222", 1.5]])
+      Object.assign(c, { strokeStyle, lineWidth }).strokeRect(left, high, right - left, low - high);
   }
 
   drawCurves(c, sx, sy, x, y) {
-    if (!this.view.borders || !this.grid.data.curves) return;
     const { curves } = this.grid.data;
-    for (const curve of curves.list) {
-      if (!(x.axis.name in curve.points) || !(y.axis.name in curve.points) || !this.onPlane(curve)) continue;
+    for (const curve of this.curves) {
       const xs = curve.points[x.axis.name].map((v) => v * x.column.factor), ys = curve.points[y.axis.name].map((v) => v * y.column.factor);
       line(c, xs, ys, sx, sy, "#FFFFFF", 3.6);
       line(c, xs, ys, sx, sy, curves.colours[curve.kind] ?? "#222222", 1.8, DASHES[curve.kind] ?? []);
     }
-    for (const corner of this.corners()) {
+    for (const corner of this.corners) {
       const place = [x, y].map((way) => corner.point[way.axis.name] * way.column.factor);
       mark(c, "s", sx(place[0]), sy(place[1]), 3.2, "#FFFFFF", "#222222");
     }
   }
 
-  /** The points of codimension two on the plane that is shown. */
-  corners() {
-    const { curves } = this.grid.data, { x, y, borders } = this.view;
-    if (!borders || !curves || !y) return [];
-    return curves.corners.filter((one) => x.axis.name in one.point && y.axis.name in one.point && this.onPlane(one));
+  /** What of the borders or curves is on the plane that is shown: of its points as the function gives them. */
+  onMap(list, pointsOf) {
+    const { x, y, borders } = this.view;
+    return borders && y && x.column === x.axis ? (list ?? []).filter((one) => [x, y].every((way) => way.axis.name in pointsOf(one)) && this.onPlane(one)) : [];
   }
+
+  get curves() { return this.onMap(this.grid.data.curves?.list, (one) => one.points); }
+
+  /** The points of codimension two. */
+  get corners() { return this.onMap(this.grid.data.curves?.corners, (one) => one.point); }
 
   /** The kind of the border within some pixels of a place, empty where there is none. */
   borderAt(place) {
-    const { frame, view } = this, { x, y } = view, { curves } = this.grid.data;
-    if (!place || !frame || !view.borders || !curves || !y || x.column !== x.axis) return "";
-    const near = curves.list.filter((curve) => this.onPlane(curve) && x.axis.name in curve.points && y.axis.name in curve.points).find(({ points }) => {
+    const { frame, view: { x, y } } = this, curves = place && frame ? this.curves : [];
+    const near = curves.find(({ points }) => {
       const [us, vs] = [[x, frame.x], [y, frame.y]].map(([way, scale]) => points[way.axis.name].map((v) => scale(v * way.column.factor)));
-      return us.some((u, k) => k && distanceTo(place, [us[k - 1], vs[k - 1]], [u, vs[k]]) < 6);
+      return us.some((u, k) => k && distance(place, nearestOn(place, [us[k - 1], vs[k - 1]], [u, vs[k]])) < 6);
     });
     return near?.kind ?? "";
   }
 
   /** The names of the points of codimension two within some pixels of a place, or within a cell. */
   namesAt(place, cell) {
-    const { frame, view } = this, { x, y } = view;
-    if (!frame || !y || x.column !== x.axis) return [];
-    const near = this.corners().filter(({ point }) => {
+    const { frame, view: { x, y } } = this;
+    const near = !frame ? [] : this.corners.filter(({ point }) => {
       const [u, v] = [x, y].map((way) => point[way.axis.name] * way.column.factor);
-      if (place) return Math.hypot(frame.x(u) - place[0], frame.y(v) - place[1]) < 9;
+      if (place) return distance(place, [frame.x(u), frame.y(v)]) < 9;
       return [[x, u], [y, v]].every(([way, value]) => {
         const { edges } = edgesOf(way.column), k = cell[way.axis.name];
         return (value - edges[k]) * (value - edges[k + 1]) <= 0;
@@ -197,8 +184,7 @@ export class MapView {
   }
 
   drawDots(canvas, x, y, variable, ink) {
-    const place = (direction) => direction.column.values.map((v) => (v === null ? NaN : v * direction.column.factor));
-    const xs = place(x), ys = place(y);
+    const xs = placesOf(x.column), ys = placesOf(y.column);
     this.dots = { xs, ys, axis: x.axis.name };
     const size = Math.max(2.2, Math.min(6, 260 / Math.sqrt(xs.length + 1)));
     const of = (direction, values) => ({ limits: limitsOf([values], 0.04), label: labelOf(direction.column) });
@@ -214,8 +200,7 @@ export class MapView {
   drawCurve(canvas, x, variable, ink) {
     const column = x.column, grid = this.grid, family = grid.data.family, flags = variable.flags;
     if (variable.inner) return this.drawReturns(canvas, x, variable, ink);
-    const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, k) => k);
-    const ys = xs.map((_, k) => {
+    const xs = placesOf(column), ys = xs.map((_, k) => {
       const cell = this.cellAt({ [x.axis.name]: k });
       return this.view.only && !this.view.only(cell) ? NaN : grid.value(variable.name, cell) * (flags ? 1 : variable.factor);
     });
@@ -225,40 +210,47 @@ export class MapView {
       ? { limits: [-0.5, known.length - 0.5], label: "", ticks: known.map((flag, k) => [k, flags[flag]]) }
       : { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") };
     this.dots = { xs, ys: rows, axis: x.axis.name };
-    const named = column.numeric ? undefined : column.values.map((text, k) => [k, text]);
-    const across = { limits: limitsOf([xs], 0.03), label: labelOf(column), log: column.log, ticks: named };
+    const across = { limits: limitsOf([xs], 0.03), label: labelOf(column), log: column.log, ticks: ticksOf(column) };
     return framed(canvas, ink, across, up, (c, sx, sy) => {
-      if (family) for (const run of family.runs) {
-        const part = run.points, colour = legible(run.colour, ink);
-        line(c, part.map((k) => xs[k]), part.map((k) => rows[k]), sx, sy, colour, run.stable === 1 ? 2.4 : 1.4, run.stable === 1 ? [] : [5, 4]);
-      } else if (!flags && column.numeric) line(c, xs, rows, sx, sy, ink.bit, 1.4);
-      const size = family ? 1.6 : Math.max(1.8, Math.min(4.5, 700 / xs.length));
-      xs.forEach((value, k) => {
-        const colour = family ? ink.ink : flags ? markColour(grid, variable, ys[k], ink) : ink.bit;
+      for (const { points, stable, colour } of family?.runs ?? []) {
+        const shade = legible(colour, ink), [first] = points;
+        line(c, points.map((k) => xs[k]), points.map((k) => rows[k]), sx, sy, shade, stable === 1 ? 2.4 : 1.4, stable === 1 ? [] : [5, 4]);
+        if (points.length === 1) mark(c, "o", sx(xs[first]), sy(rows[first]), 1.6, shade);
+      }
+      if (!family && !flags && column.numeric) line(c, xs, rows, sx, sy, ink.bit, 1.4);
+      const size = Math.max(1.8, Math.min(4.5, 700 / xs.length));
+      if (!family) xs.forEach((value, k) => {
+        const colour = flags ? markColour(grid, variable, ys[k], ink) : ink.bit;
         if (Number.isFinite(rows[k]) && rows[k] >= (flags ? 0 : -Infinity)) mark(c, "o", sx(value), sy(rows[k]), size, colour, flags ? ink.faint : null);
       });
       for (const one of family?.special ?? []) mark(c, one.shape, sx(xs[one.point]), sy(rows[one.point]), 4.5, legible(family.kinds[one.kind], ink), ink.plate);
     }, { empty: !ys.some(Number.isFinite) });
   }
 
+  /** The orbits that were followed, over a diagram of returns. */
+  get over() {
+    const { overlay } = this.grid.data, { x, variable } = this.view;
+    return overlay?.variable === variable.name && overlay.along === x.axis.name ? overlay.items : [];
+  }
+
   /** Every stored return over an axis, in the colour of its lane's regime; families lie over them. */
   drawReturns(canvas, x, variable, ink) {
-    const { column, axis } = x, grid = this.grid, count = grid.axes.get(variable.inner).values.length, regime = grid.variables.get("regime");
+    const { column, axis } = x, grid = this.grid, count = grid.axes.get(variable.inner).values.length, regime = grid.variables.get("regime"), places = placesOf(column);
     const xs = [], ys = [], index = [];
     axis.values.forEach((_, k) => {
       for (let r = 0; r < count; r++) {
         const value = grid.value(variable.name, this.cellAt({ [axis.name]: k, [variable.inner]: r }));
         if (!Number.isFinite(value)) continue;
-        xs.push(column.numeric ? column.values[k] * column.factor : k);
+        xs.push(places[k]);
         ys.push(value * variable.factor);
         index.push(k);
       }
     });
     this.dots = { xs, ys, index, axis: axis.name };
-    const { overlay } = grid.data, over = overlay?.variable === variable.name && overlay.along === axis.name ? overlay.items : [];
-    const across = { limits: limitsOf([column.numeric ? column.values.map((v) => v * column.factor) : xs], 0.03), label: labelOf(column), log: column.log };
+    const over = this.over, heights = over.flatMap((item) => item.y ?? []).filter((y) => y !== null);
+    const across = { limits: limitsOf([places], 0.03), label: labelOf(column), log: column.log, ticks: ticksOf(column) };
     const colours = axis.values.map((_, k) => (regime ? markColour(grid, regime, grid.value("regime", this.cellAt({ [axis.name]: k })), ink) : ink.bit));
-    return framed(canvas, ink, across, { ...limitsAndTicks(ys), label: variable.label.replace("\n", " ") }, (c, sx, sy, box) => {
+    return framed(canvas, ink, across, { ...limitsAndTicks([...ys, ...heights]), label: variable.label.replace("\n", " ") }, (c, sx, sy, box) => {
       const size = Math.max(1.2, Math.min(3.2, (0.36 * (box.right - box.left)) / axis.values.length));  // neighbours do not merge
       const rim = xs.length < 300 ? ink.faint : null;  // rims of many would hide their colours
       xs.forEach((value, k) => mark(c, "o", sx(value), sy(ys[k]), size, colours[index[k]], rim));
@@ -278,11 +270,7 @@ export class MapView {
       };
       return this.cellAt({ [view.x.axis.name]: index(view.x, frame.x.inverse(px)), [view.y.axis.name]: index(view.y, frame.y.inverse(py)) });
     }
-    let best = -1, least = Infinity;
-    this.dots.xs.forEach((value, k) => {
-      const distance = Math.hypot(frame.x(value) - px, frame.y(this.dots.ys[k]) - py);
-      if (distance < least) { least = distance; best = k; }
-    });
+    const best = leastOf(this.dots.xs.map((value, k) => distance([px, py], [frame.x(value), frame.y(this.dots.ys[k])])));
     return best < 0 ? null : this.cellAt({ [this.dots.axis]: this.dots.index?.[best] ?? best });
   }
 
@@ -296,13 +284,12 @@ export class MapView {
     }
     if (!y) return this.cellAt({ [x.axis.name]: step(x.axis, dx + dy) });
     const { frame, dots } = this, from = cell[dots.axis], [fx, fy] = [frame.x(dots.xs[from]), frame.y(dots.ys[from])];
-    let best = from, least = Infinity;  // the nearest dot within a quarter turn of the way
-    dots.xs.forEach((value, k) => {
+    const best = leastOf(dots.xs.map((value, k) => {  // the nearest dot within a quarter turn of the way
       const [vx, vy] = [frame.x(value) - fx, fy - frame.y(dots.ys[k])];
       const along = vx * Math.sign(dx) + vy * Math.sign(dy), aside = Math.abs(dx ? vy : vx);
-      if (k !== from && along > 0 && aside <= along && along + 2 * aside < least) { least = along + 2 * aside; best = k; }
-    });
-    return this.cellAt({ [dots.axis]: best });
+      return along > 0 && aside <= along ? along + 2 * aside : NaN;
+    }));
+    return this.cellAt({ [dots.axis]: best < 0 ? from : best });
   }
 
   /** Where a cell is drawn: [left, top, width, height], or a dot's [x, y]. */
@@ -321,43 +308,22 @@ export class MapView {
         const [x0, x1] = ends(view.x, frame.x), [y0, y1] = ends(view.y, frame.y);
         const [left, top, wide, high] = [Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)];
         if (strong) {
-          c.strokeStyle = "rgba(128,128,128,0.75)";
-          c.lineWidth = 1;
-          c.setLineDash([3, 3]);
-          c.beginPath();
-          c.moveTo(left + wide / 2, frame.box.top); c.lineTo(left + wide / 2, frame.box.bottom);
-          c.moveTo(frame.box.left, top + high / 2); c.lineTo(frame.box.right, top + high / 2);
-          c.stroke();
-          c.setLineDash([]);
+          uprightLine(c, left + wide / 2, box, "rgba(128,128,128,0.75)", 1, [3, 3]);
+          levelLine(c, top + high / 2, box, "rgba(128,128,128,0.75)", 1, [3, 3]);
         }
-        for (const [colour, width, more] of strong ? [["#FFFFFF", 4, 2], ["#111111", 2, 2]] : [["#FFFFFF", 2.5, 1], ["#111111", 1, 1]]) {
-          c.strokeStyle = colour;
-          c.lineWidth = width;
-          c.strokeRect(left - more, top - more, wide + 2 * more, high + 2 * more);
-        }
+        for (const [strokeStyle, lineWidth, more] of strong ? [["#FFFFFF", 4, 2], ["#111111", 2, 2]] : [["#FFFFFF", 2.5, 1], ["#111111", 1, 1]])
+          Object.assign(c, { strokeStyle, lineWidth }).strokeRect(left - more, top - more, wide + 2 * more, high + 2 * more);
       } else {
         const k = cell[this.dots.axis], { index } = this.dots;
         if (index) {
           const of = index.flatMap((one, i) => (one === k ? [i] : []));
           if (!of.length) continue;
-          const at = Math.round(frame.x(this.dots.xs[of[0]])) + 0.5;
-          c.strokeStyle = this.ink.ink;
-          c.lineWidth = strong ? 1.4 : 0.8;
-          c.setLineDash(strong ? [] : [3, 3]);
-          c.beginPath();
-          c.moveTo(at, frame.box.top); c.lineTo(at, frame.box.bottom);
-          c.stroke();
-          c.setLineDash([]);
+          uprightLine(c, Math.round(frame.x(this.dots.xs[of[0]])) + 0.5, box, this.ink.ink, strong ? 1.4 : 0.8, strong ? [] : [3, 3]);
           continue;
         }
         c.beginPath();
         c.arc(frame.x(this.dots.xs[k]), frame.y(this.dots.ys[k]), strong ? 8 : 6, 0, 2 * Math.PI);
-        c.strokeStyle = this.ink.plate;
-        c.lineWidth = strong ? 4.5 : 3;
-        c.stroke();
-        c.strokeStyle = this.ink.ink;
-        c.lineWidth = strong ? 2.2 : 1.2;
-        c.stroke();
+        for (const [strokeStyle, lineWidth] of [[this.ink.plate, strong ? 4.5 : 3], [this.ink.ink, strong ? 2.2 : 1.2]]) Object.assign(c, { strokeStyle, lineWidth }).stroke();
       }
     }
     c.restore();

@@ -98,7 +98,6 @@ class Page {
   along(direction) { return this.variable?.axes.includes(direction.axis.name); }
 
   fillControls() {
-    if (!this.shown.x) return;
     const focus = document.activeElement?.dataset?.control;
     this.controls.replaceChildren(...controlsOf(this));
     if (focus && focus !== "") this.controls.querySelector(`[data-control="${focus}"]`)?.focus();
@@ -169,7 +168,8 @@ class Page {
   /** In place of a map: a trajectory from its beginning. */
   drawWhole() {
     this.element.querySelector(".vx-map").hidden = true;
-    this.controls.hidden = this.live.hidden = true;
+    this.controls.hidden = !this.controls.childElementCount;
+    this.live.hidden = true;
     this.figure?.draw();
     if (this.history) drawWhole(this);
     drawSigns(this.element);
@@ -343,16 +343,19 @@ class Page {
 
   /** What a file of a plot says besides the plot: what it is of, and a name that tells variables and cells apart. */
   about(title, more = {}) {
-    const { point, data, grid, cell, named } = this, said = grid.cellText(cell, named);
-    return { title, notes: [[point?.title || said, data.common].filter(Boolean).join(", ")], name: [title, point?.title ?? grid.nameText(cell, named)].filter(Boolean).join("_"), ...more };
+    const { point, grid, cell, named } = this;
+    return { title, notes: [this.withCommon(point?.title || grid.cellText(cell, named))], name: [title, point?.title ?? grid.nameText(cell, named)].filter(Boolean).join("_"), ...more };
   }
 
+  /** A text, and the values that are the same everywhere. */
+  withCommon(text) { return [text, this.data.common].filter(Boolean).join(", "); }
+
   /** The values that are the same over a plot along some axes. */
-  notesAt(along) { return [[this.grid.cellText(this.cell, this.named.filter((name) => !along.includes(name))), this.data.common].filter(Boolean).join(", ")]; }
+  notesAt(along) { return [this.withCommon(this.grid.cellText(this.cell, this.named.filter((name) => !along.includes(name))))]; }
 
   aboutMap() {
     const { variable, grid, cell, besideMap } = this, only = this.element.querySelector("[data-control='only']")?.selectedOptions[0].text;
-    const notes = [[grid.cellText(cell, besideMap), this.data.common].filter(Boolean).join(", "), this.among ? `shown: ${only}` : ""];
+    const notes = [this.withCommon(grid.cellText(cell, besideMap)), this.among ? `shown: ${only}` : ""];
     return { title: variable.label.replace("\n", " ").replace(/ \[.*/, ""), notes, name: [variable.name, grid.nameText(cell, besideMap), this.among ? only : ""].filter(Boolean).join("_"), keys: keysOf(this), bar: barOf(this) };
   }
 

@@ -1,5 +1,5 @@
 // Exports: a plot drawn once more on a sheet, as PNG or SVG with its title and legend, and text files.
-import { drawSign, FONT, inkOf, numberText, scaleOf, signWidth, ticks } from "./plots.js";
+import { drawBar, drawSign, FONT, inkOf, signWidth } from "./plots.js";
 
 const SCALE = 3;
 const escaped = (text) => String(text).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
@@ -87,23 +87,6 @@ function wrapped(c, text, width) {
     if (c.measureText(longer).width <= width) lines[lines.length - 1] = longer; else lines.push(word);
   }
   return lines.filter(Boolean);
-}
-
-/** A bar of a quantity's colours, with arrows at the ends beyond which there are values. */
-export function drawBar(c, { low, high, log, extend, map }, left, top, width, ink) {
-  const [from, to] = [left + 22, left + width - 22];
-  map.forEach((colour, k) => { c.fillStyle = colour; c.fillRect(from + (k / map.length) * (to - from), top + 2, (to - from) / map.length + 1, 12); });
-  for (const [at, way, ends] of [[from, -1, ["min", "both"]], [to, 1, ["max", "both"]]]) {
-    if (!ends.includes(extend)) continue;
-    c.beginPath();
-    c.moveTo(at, top + 2); c.lineTo(at + way * 8, top + 8); c.lineTo(at, top + 14);
-    c.closePath();
-    c.fillStyle = way < 0 ? map[0] : map.at(-1);
-    c.fill();
-  }
-  Object.assign(c, { fillStyle: ink.ink, font: `11px ${FONT}`, textAlign: "center", textBaseline: "top" });
-  const place = scaleOf(low, high, from, to, log);
-  for (const value of ticks(low, high, width < 300 ? 3 : 6, log)) c.fillText(numberText(value, 6), place(value), top + 18);
 }
 
 /**

@@ -57,7 +57,7 @@ export function numberText(value, digits = 4) {
   const size = Math.abs(value);
   const text = size !== 0 && (size < 1e-3 || size >= 1e5)
     ? value.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(Number(value.toPrecision(digits)));
-  return text.replace("-", "−").replace("e+", "e");
+  return text.replaceAll("-", "−").replace("e+", "e");
 }
 
 /** Round values between two limits, about `count` of them. */
@@ -96,6 +96,17 @@ export function scaleOf(low, high, from, to, log = false) {
   return scale;
 }
 
+/** The number of the least of some values, -1 without one. */
+export const leastOf = (values) => values.reduce((best, value, k) => (value < (values[best] ?? Infinity) ? k : best), -1);
+
+export const distance = ([x, y], [u, v]) => Math.hypot(u - x, v - y);
+
+/** The place on the straight line from one place to another that is nearest to a third. */
+export function nearestOn([px, py], [ax, ay], [bx, by]) {
+  const [dx, dy] = [bx - ax, by - ay], share = Math.max(0, Math.min(1, ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy || 1)));
+  return [ax + share * dx, ay + share * dy];
+}
+
 /** The canvas made as large as it is shown, and its context in CSS pixels. */
 export function prepared(canvas) {
   const ratio = canvas.ratio ?? (window.devicePixelRatio || 1), { width, height } = canvas.getBoundingClientRect();
@@ -103,7 +114,7 @@ export function prepared(canvas) {
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
   }
-  const context = canvas.getContext("2d");
+  const context = Object.assign(canvas.getContext("2d"), { ratio });
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   return { context, width, height };
@@ -210,6 +221,12 @@ function zoomed(canvas, ...axes) {
   });
 }
 
+/** Fill a cell between two ends on each axis, to whole pixels of the screen: at fractions of them, neighbours would leave a hairline. */
+export function fillCell(c, ...ends) {
+  const [x0, x1, y0, y1] = ends.map((end) => Math.round(end * c.ratio) / c.ratio);
+  c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+}
+
 /** A line through points; not-finite ones part it. */
 export function line(c, xs, ys, sx, sy, colour, width = 1.6, dash = []) {
   c.strokeStyle = colour;
@@ -226,6 +243,12 @@ export function line(c, xs, ys, sx, sy, colour, width = 1.6, dash = []) {
   c.stroke();
   c.setLineDash([]);
 }
+
+const same = (pixel) => pixel;
+
+/** A line through a frame at a pixel: from its top to its bottom, or from its left to its right. */
+export const uprightLine = (c, x, { top, bottom }, colour, width = 1.2, dash = []) => line(c, [x, x], [top, bottom], same, same, colour, width, dash);
+export const levelLine = (c, y, { left, right }, colour, width = 1.2, dash = []) => line(c, [left, right], [y, y], same, same, colour, width, dash);
 
 const AROUND = (count, ...radii) => Array.from({ length: count * radii.length }, (_, k) => [radii[k % radii.length], (2 * Math.PI * k) / (count * radii.length)])
   .map(([radius, angle]) => [radius * Math.sin(angle), -radius * Math.cos(angle)]);
@@ -251,26 +274,42 @@ export function mark(c, kind, x, y, size, colour, edge) {
 }
 
 /** How wide the sign of an entry of a legend is. */
-export const signWidth = ({ shape }) => ({ line: 28, scale: 60 }[shape] ?? 14);
+export const signWidth = ({ shape }) => (shape === "line" ? 28 : 14);
 
 /**
- * What stands before an entry {text, shape: "line", "patch", "scale" or a mark, colour, dash, marker: on the line, hollow, rim,
- * colours: of a scale} of a legend, 14 high at a place: as it stands in the plot.
+ * What stands before an entry {text, shape: "line", "patch" or a mark, colour, dash, marker: on the line, hollow, rim} of a
+ * legend, 14 high at a place: as it stands in the plot.
  */
 export function drawSign(c, key, left, top, ink) {
-  const { shape, colour, colours, dash, marker, hollow, size = 3 } = key, wide = signWidth(key), own = ink[colour] ?? (key.rim ? labelColour : legible)(colour, ink), y = top + 7, middle = left + wide / 2;
+  const { shape, colour, dash, marker, hollow, size = 3 } = key, wide = signWidth(key), own = ink[colour] ?? (key.rim ? labelColour : legible)(colour, ink), y = top + 7, middle = left + wide / 2;
   const spot = (kind) => mark(c, kind, middle, y, Math.max(2.4, Math.min(5.4, (4 / 3) * size)), hollow ? ink.plate : own, hollow ? own : key.rim ? ink.faint : null);
   if (shape === "line") {
-    line(c, [left + 1, left + wide - 1], [y, y], (x) => x, (x) => x, own, 2, dash);
+    levelLine(c, y, { left: left + 1, right: left + wide - 1 }, own, 2, dash);
     if (marker) spot(marker);
-  } else if (shape === "scale") colours.forEach((one, k) => { c.fillStyle = one; c.fillRect(left + (k * wide) / colours.length, y - 6, wide / colours.length + 0.5, 12); });
-  else if (shape === "patch") {
+  } else if (shape === "patch") {
     c.fillStyle = colour === "hatched" ? ink.undefined : ink[colour] ?? colour;
     c.fillRect(middle - 6, y - 6, 12, 12);
     c.strokeStyle = ink.faint;
     c.lineWidth = 1;
     c.strokeRect(middle - 6, y - 6, 12, 12);
   } else spot(shape);
+}
+
+/** A bar of a quantity's colours, with arrows at the ends beyond which there are values. */
+export function drawBar(c, { low, high, log, extend, map }, left, top, width, ink) {
+  const [from, to] = [left + 22, left + width - 22];
+  map.forEach((colour, k) => { c.fillStyle = colour; c.fillRect(from + (k / map.length) * (to - from), top + 2, (to - from) / map.length + 1, 12); });
+  for (const [at, way, ends] of [[from, -1, ["min", "both"]], [to, 1, ["max", "both"]]]) {
+    if (!ends.includes(extend)) continue;
+    c.beginPath();
+    c.moveTo(at, top + 2); c.lineTo(at + way * 8, top + 8); c.lineTo(at, top + 14);
+    c.closePath();
+    c.fillStyle = way < 0 ? map[0] : map.at(-1);
+    c.fill();
+  }
+  Object.assign(c, { fillStyle: ink.ink, font: `11px ${FONT}`, textAlign: "center", textBaseline: "top" });
+  const place = scaleOf(low, high, from, to, log);
+  for (const value of fewTicks({ limits: [low, high], log }, width < 300 ? 3 : 6)) c.fillText(numberText(value, 6), place(value), top + 18);
 }
 
 /** An entry of a legend in the page: its sign, and its text or what stands for it. `drawSigns` draws it. */
@@ -280,17 +319,25 @@ export function entry(key, content = key.text) {
   return el("li", {}, sign, content);
 }
 
-/** Draw the signs of the legends in an element, in the colours of its scheme. */
+/** The bar of a quantity's colours in the page, below its name. `drawSigns` draws it. */
+export function barElements(bar) {
+  const canvas = el("canvas", { class: "vx-bar", role: "img", "aria-label": `Colours of ${bar.label} from ${numberText(bar.low)} to ${numberText(bar.high)}` });
+  return [el("p", { class: "vx-barname", text: bar.label }), Object.assign(canvas, { bar })];
+}
+
+/** Draw the signs and bars of the legends in an element, in the colours of its scheme. */
 export function drawSigns(root) {
   const ink = inkOf(root);
   for (const one of root.querySelectorAll(".vx-sign")) drawSign(prepared(one).context, one.key, 0, 0, ink);
+  for (const one of root.querySelectorAll(".vx-bar")) { const { context, width } = prepared(one); drawBar(context, one.bar, 0, 0, width, ink); }
 }
 
 let readings = null;
 
 /**
  * Have values of the plot that is being drawn read where they are pointed at: `xs`, `ys` in data coordinates; `texts`:
- * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows, or of a bar.
+ * what is read there, by default both coordinates; `edges`: [x, y] of cells, of which ys has the rows, or of a bar; `low`:
+ * the lower ends of an area.
  */
 export const read = (name, xs, ys, more = {}) => { if (xs.length) readings?.push({ name, xs: numbers(xs), ys: numbers(ys), ...more }); };
 const numbers = (values) => Array.from(values, (x) => x ?? NaN);

@@ -1,5 +1,5 @@
 // Pointer and keys over the map: which cell is meant, what is said of it, and that it is picked.
-import { el } from "./dom.js";
+import { el, placeIn } from "./dom.js";
 
 /** Where keys lead, in cells. */
 const WAYS = {
@@ -26,13 +26,10 @@ function hover(page, cell, place) {
 
 /** Hear the pointer and the keys over the map of a page. */
 export function listen(page) {
-  const place = (event) => {
-    const box = page.over.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
-  };
-  page.over.addEventListener("pointermove", (event) => hover(page, page.view.at(...place(event)), place(event)));
+  const over = (event) => { const place = placeIn(page.over, event); hover(page, page.view.at(...place), place); };
+  page.over.addEventListener("pointermove", over);
   page.over.addEventListener("pointerleave", () => hover(page, null));
-  page.over.addEventListener("click", (event) => { if (event.pointerType === "touch") hover(page, page.view.at(...place(event)), place(event)); });
+  page.over.addEventListener("click", (event) => { if (event.pointerType === "touch") over(event); });
   page.over.addEventListener("keydown", (event) => {
     const way = WAYS[event.key];
     if (!way || event.ctrlKey || event.metaKey || event.altKey) return;

@@ -1,10 +1,10 @@
 // Below the map: the variable along both directions through the chosen cell; of a trajectory its whole course.
 import { colourName, drawCourse, groupsOf } from "./cell.js";
 import { el } from "./dom.js";
-import { labelOf } from "./grid.js";
+import { labelOf, placesOf } from "./grid.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
-import { entry, framed, inkOf, limitsAndTicks, limitsOf, line, mark, markColour, read } from "./plots.js";
+import { entry, framed, inkOf, leastOf, limitsAndTicks, limitsOf, line, mark, markColour, read, uprightLine } from "./plots.js";
 
 /** Draw the slices of a page's map into its element. */
 export function drawSlices(page) {
@@ -30,15 +30,13 @@ function drawSlice(page, figure, direction, other) {
   const at = grid.coordinateText(other.column, page.cell[other.axis.name]), title = `${variable.name.replaceAll("_", " ")} at ${at}`;
   figure.querySelector("figcaption span").textContent = title;
   canvas.setAttribute("aria-label", `${variable.label} along ${column.label} at ${at}`);
-  const xs = column.numeric ? column.values.map((v) => v * column.factor) : column.values.map((_, i) => i);
-  const cells = xs.map((_, i) => ({ ...page.cell, [direction.axis.name]: i })), values = cells.map((cell) => grid.value(variable.name, cell));
+  const xs = placesOf(column), cells = xs.map((_, i) => ({ ...page.cell, [direction.axis.name]: i })), values = cells.map((cell) => grid.value(variable.name, cell));
   const known = variable.flags ? [...new Set(values)].sort((a, b) => a - b) : [];
   const ys = variable.flags ? values.map((v) => known.indexOf(v)) : values.map((v) => v * variable.factor);
   const up = variable.flags
     ? { limits: [-0.6, known.length - 0.4], label: "", ticks: known.map((flag, i) => [i, variable.flags[flag] ?? `${flag}`]) }
     : { ...limitsAndTicks(ys), label: variable.units };
-  const named = column.numeric ? undefined : column.values.map((text, i) => [i, text]);
-  const right = { limits: limitsOf([xs], 0.02), label: column.units ? `${column.symbol} [${column.units}]` : column.symbol, log: column.log, ticks: named };
+  const right = { limits: limitsOf([xs], 0.02), label: column.units ? `${column.symbol} [${column.units}]` : column.symbol, log: column.log };
   const draw = (paper, ink = inkOf(paper)) => framed(paper, ink, paper.source ? { ...right, label: labelOf(column) } : right, paper.source && !variable.flags ? { ...up, label: variable.label.replace("\n", " ") } : up, (c, sx, sy, box) => {
     const size = Math.max(1.6, Math.min(2.6, (box.right - box.left) / xs.length / 2));  // a rim would hide the colour of many
     if (!variable.flags && column.numeric) line(c, xs, ys, sx, sy, ink.faint, 1.2);
@@ -46,22 +44,11 @@ function drawSlice(page, figure, direction, other) {
     xs.forEach((value, i) => {
       if (Number.isFinite(ys[i])) mark(c, "o", sx(value), sy(ys[i]), size, markColour(grid, variable, values[i], ink), size > 2.2 ? ink.faint : null);
     });
-    if (paper.source) return;  // a file shows no cursor
-    const here = sx(xs[page.cell[direction.axis.name]]);
-    c.strokeStyle = ink.ink;
-    c.setLineDash([3, 3]);
-    c.beginPath();
-    c.moveTo(here, box.top);
-    c.lineTo(here, box.bottom);
-    c.stroke();
-    c.setLineDash([]);
+    if (!paper.source) uprightLine(c, sx(xs[page.cell[direction.axis.name]]), box, ink.ink, 1.2, [3, 3]);  // a file shows no cursor
   }, { empty: !ys.some(Number.isFinite) });
   const click = ([px]) => {
     const { frame } = canvas;
-    if (!frame) return;
-    let best = 0;
-    xs.forEach((value, i) => { if (Math.abs(frame.x(value) - px) < Math.abs(frame.x(xs[best]) - px)) best = i; });
-    page.pick(cells[best]);
+    if (frame) page.pick(cells[leastOf(xs.map((value) => Math.abs(frame.x(value) - px)))]);
   };
   const name = `${variable.name}_${grid.nameText(page.cell, page.named.filter((one) => one !== direction.axis.name))}`;
   figure.slice = { about: () => page.about(title, { name, notes: page.notesAt([direction.axis.name]) }), draw, click, table: () => page.tableOf(cells) };

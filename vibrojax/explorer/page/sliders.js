@@ -1,14 +1,9 @@
 // Sliders and numbers for what a source that computes may be asked for: every parameter of the scene, and the start.
+import { el } from "./dom.js";
 import { numberText } from "./plots.js";
 
 const STEPS = 1000;
 const VECTOR = "a state";
-
-const make = (tag, attributes = {}, ...children) => {
-  const one = Object.assign(document.createElement(tag), attributes);
-  one.append(...children);
-  return one;
-};
 
 /** Where a value stands between the ends of a slider, from 0 to STEPS, and back. */
 const placed = ({ low, high, log }, value) => {
@@ -27,47 +22,36 @@ export class Sliders {
   constructor(offered, onChange) {
     Object.assign(this, { offered, onChange, id: `vx-s${++forms}`, values: { ...offered.values }, start: offered.start });
     this.rows = new Map(offered.parameters.map((one) => [one.name, this.row(one)]));
-    this.said = make("span", { className: "vx-said" });
-    this.said.setAttribute("role", "status");
-    this.back = make("button", { type: "button", className: "vx-copy", textContent: "back to the cell" });
+    this.said = el("span", { class: "vx-said", role: "status" });
+    this.back = el("button", { type: "button", class: "vx-copy", text: "back to the cell" });
     const rows = [...this.rows.values()].map(({ element }) => element);
-    this.element = make("details", { className: "vx-sliders", open: true },
-      make("summary", { textContent: `Simulate, for ${offered.duration} s${offered.whole > offered.duration ? ` of ${numberText(offered.whole)} s` : ""}` }),
-      make("div", { className: "vx-asked" }, ...this.startControls(), this.back, this.said), make("div", { className: "vx-rows" }, ...rows));
+    this.element = el("details", { class: "vx-sliders", open: true },
+      el("summary", { text: `Simulate, for ${offered.duration} s${offered.whole > offered.duration ? ` of ${numberText(offered.whole)} s` : ""}` }),
+      el("div", { class: "vx-asked" }, ...this.startControls(), this.back, this.said), el("div", { class: "vx-rows" }, ...rows));
     this.set(offered.values, offered.start);
   }
 
   row(one) {
-    const range = make("input", { type: "range", min: 0, max: STEPS, step: 1, id: `${this.id}-${one.name}` });
-    const number = make("input", { type: "number", step: "any", name: one.name });
-    const unit = one.units ? ` [${one.units}]` : "";
-    const label = make("label", { htmlFor: range.id, title: one.label },
-      make("span", { textContent: `${one.symbol} ` }, make("small", { textContent: one.label.replace(/ \(.*/, "") })),
-      make("small", { textContent: one.units }));
-    range.setAttribute("data-parameter", one.name);
-    number.setAttribute("aria-label", `${one.label}${unit}`);
+    const range = el("input", { type: "range", min: 0, max: STEPS, step: 1, id: `${this.id}-${one.name}`, "data-parameter": one.name });
+    const number = el("input", { type: "number", step: "any", name: one.name, "aria-label": one.units ? `${one.label} [${one.units}]` : one.label });
+    const label = el("label", { for: range.id, title: one.label },
+      el("span", { text: `${one.symbol} ` }, el("small", { text: one.label.replace(/ \(.*/, "") })), el("small", { text: one.units }));
     range.addEventListener("input", () => this.change(one, valueAt(one, Number(range.value)), range));
     number.addEventListener("input", () => {
       const value = Number(number.value);
       if (number.value.trim() !== "" && Number.isFinite(value)) this.change(one, Number((value / one.factor).toPrecision(12)), number);
     });
-    return { element: make("div", { className: "vx-row" }, label, range, number), range, number, one };
+    return { element: el("div", { class: "vx-row" }, label, range, number), range, number, one };
   }
 
   startControls() {
     const { starts, states, state_labels: labels } = this.offered;
     if (!starts.length && !states.length) return [];
     const options = [...starts, ...(states.length ? [VECTOR] : [])];
-    this.which = make("select", { id: `${this.id}-start` }, ...options.map((text) => make("option", { value: text, textContent: text })));
-    this.vector = labels.map((label) => {
-      const one = make("input", { type: "number", step: "any", value: "0" });
-      one.setAttribute("aria-label", label);
-      one.addEventListener("input", () => this.started());
-      return one;
-    });
-    this.which.addEventListener("change", () => this.started());
-    this.states = make("span", { className: "vx-vector" }, ...states.flatMap((name, k) => [make("small", { textContent: ` ${name} ` }), this.vector[k]]));
-    return [make("span", {}, make("label", { htmlFor: this.which.id, textContent: "start " }), this.which), this.states];
+    this.which = el("select", { id: `${this.id}-start`, onchange: () => this.started() }, ...options.map((text) => el("option", { value: text, text })));
+    this.vector = labels.map((label) => el("input", { type: "number", step: "any", value: "0", "aria-label": label, oninput: () => this.started() }));
+    this.states = el("span", { class: "vx-vector" }, ...states.flatMap((name, k) => [el("small", { text: ` ${name} ` }), this.vector[k]]));
+    return [el("span", {}, el("label", { for: this.which.id, text: "start " }), this.which), this.states];
   }
 
   started() {
