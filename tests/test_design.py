@@ -123,6 +123,13 @@ def test_bundled_designs_are_as_good_as_by_other_searches(name, least):
     assert best.feasible == 1 and float(best.objective) >= least
 
 
+def test_wide_tolerance_is_compared_with_the_usual_values():
+    with pytest.warns(
+        vj.UnusualValue, match=r"tolerance\.delta: 0\.505 m is far outside .*; if in mm, write 0\.000505 m"
+    ):
+        read_design(FREE | {"tolerance": {"delta": 0.5}})
+
+
 def test_refusal_says_whether_tolerances_or_a_start_are_in_the_way():
     """The force is above its limit at one end of the tolerance, or one start never reaches the regime."""
     spec = read_design(FREE | {"starts": ["stuck", "drive"], "tolerance": {"gamma": WIDTH}})

@@ -23,7 +23,7 @@ from vibrojax.scenes import SCENES
 from vibrojax.settings.fields import Settings, given, setting
 from vibrojax.settings.names import Names
 from vibrojax.settings.toml import read_source
-from vibrojax.settings.values import STATE, as_table, choice, count, known_keys, quantity
+from vibrojax.settings.values import STATE, as_table, choice, count, known_keys, quantity, warn_if_far
 
 Unit = Float[np.ndarray, " varied"]
 Points = Float[np.ndarray, "points varied"]
@@ -229,7 +229,7 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     options = {name: x for name, x in file.parameters.items() if name in names.options}
     numbers = {name: x for name, x in file.parameters.items() if name not in options}
     parameters: dict[str, Any] = read_parameters(place.at("parameters"), numbers, names)
-    tolerances, fixed = _read_tolerances(place.at("tolerance"), file.tolerance, names, parameters, bounds)
+    tolerances, fixed = _read_tolerances(place.at("tolerance"), file.tolerance, names, parameters, bounds, file.unusual)
     along = ("", "multiplier")  # one value per lane, or along multipliers
     known = {name: about for name, about in sweep_variables(names.system).items() if about.along in along}
     smooth = [name for name in known if known[name].dtype == np.float64]
@@ -289,6 +289,7 @@ def _read_tolerances(
     names: Names,
     parameters: Mapping[str, float],
     bounds: Mapping[str, tuple[float, float]],
+    unusual: bool,
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the half-widths by name, and the nominal values of the parameters that are not varied."""
     if len(table) > MAX_TOLERANCES:
@@ -306,6 +307,8 @@ def _read_tolerances(
         for end in (low - DRAWN_BOX * width, high + DRAWN_BOX * width):
             if problem := about.problem(end):
                 raise here.error(f"{width:g} is too wide at {name} = {low:g}: {problem}")
+        if not unusual:
+            warn_if_far(here, about, high + width, meant="; unusual = true says that it is meant")
     return widths, fixed
 
 

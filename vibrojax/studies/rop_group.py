@@ -215,18 +215,18 @@ def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> 
             for bend in (np.array([np.inf]), between(beside))
         )
         rho = correlation(best.residual[:, np.argmin(best.squares)], row)
-    # Whether there is a founder is told by enough rows on both sides, its error by all forms and nearly all weights.
-    for tried, near in (([best.model], between(beside)), (models, between(_FEWEST_BESIDE))):
-        for _ in range(_ZOOMS):
-            bends = near
-            profiles = [_profile(model, x, y, bends, decay) for model in tried]
-            squares = np.min([profile.squares for profile in profiles], axis=0)
-            k, likely = int(np.argmin(squares)), rate.size * np.log(squares / squares.min()) <= _LIKELY
-            first, last = np.flatnonzero(likely)[[0, -1]]
-            near = np.linspace(bends[max(first - 1, 0)], bends[min(last + 1, bends.size - 1)], _BENDS)
-        best = min(profiles, key=lambda profile: profile.squares[k])
-        if best.theta[k, 1] <= 0 or rate.size * np.log(straight.squares[0] / best.squares[k]) < _FOUNDER:
-            return Founder(correlation=rho), straight.residual[:, 0]
+    k = int(np.argmin(best.squares))
+    if best.theta[k, 1] <= 0 or rate.size * np.log(straight.squares[0] / best.squares[k]) < _FOUNDER:
+        return Founder(correlation=rho), straight.residual[:, 0]
+    near = between(_FEWEST_BESIDE)
+    for _ in range(_ZOOMS):  # all forms, and weights with few rows beside, are within the error
+        bends = near
+        profiles = [_profile(model, x, y, bends, decay) for model in models]
+        squares = np.min([profile.squares for profile in profiles], axis=0)
+        k, likely = int(np.argmin(squares)), rate.size * np.log(squares / squares.min()) <= _LIKELY
+        first, last = np.flatnonzero(likely)[[0, -1]]
+        near = np.linspace(bends[max(first - 1, 0)], bends[min(last + 1, bends.size - 1)], _BENDS)
+    best = min(profiles, key=lambda profile: profile.squares[k])
     error, fall = np.abs(bends[likely] - bends[k]).max() / 2, float(best.theta[k, 2])
     values = float(bends[k] * top), float(error * top), fall * (fall > _LEAST_FALL) * scale
     return Founder(*values, float(best.fall_stderr[k] * scale), rho), best.residual[:, k]
