@@ -180,6 +180,29 @@ def test_narrow_sheet_has_no_empty_place(grid):
     assert widths == ({0.5, 1.0} if grid else {1.0})
 
 
+# Diagrams.
+
+
+def test_campbell_shows_blows_that_differ_from_decided_returns():
+    """Returns at 4 Hz: one blow each, two blows, and an undecided lane that has none."""
+    table = {"regime": [3, 4, 0], "period": [0.25] * 3, "cycles": [1.0] * 3, "impacts": [1.0, 2.0, 0.0]}
+    parameters = json.dumps({"beta": 0.4, "gamma": 0.75, "m1": 1e3, "k1": 5e5})
+    ds = xr.Dataset({k: ("v", np.array(v)) for k, v in table.items()}, {"v": [1.0, 1.5, 2.0]})
+    (plot,) = requested(ds.assign_attrs(scene="vibro-impact", parameters=parameters), diagram="campbell").plots
+    marks = {layer.marker: [*zip(layer.x, layer.y, strict=True)] for layer in plot.layers if layer.marker}
+    assert marks["o"] == [(1.0, 4.0), (1.5, 4.0)]
+    assert marks["x"] == [(1.5, 8.0)]
+
+
+def test_rate_over_force_lists_the_onsets_of_each_rock_once():
+    """The rock slips from a force of 1.1 D on, of which the mean is 0.08 of the greatest force."""
+    ds = rock({"force": np.linspace(1e5, 5e5, 9), "k3": [2e8, 3e8], "frequency": [20.0, 30.0]})
+    marks, lines = requested(ds, diagram="rate-over-force").keys
+    assert [line.label.splitlines()[0] for line in lines] == [f"k₃ = {k} MN/m, onset [kN]" for k in (200, 300)]
+    assert lines[0].label.splitlines()[1:] == ["f = 20 Hz 12–16", "f = 30 Hz 18–24"]
+    assert [mark.label for mark in marks] == ["fitted law C ln(P/P0)", "no penetration", "onset"]
+
+
 # The designer's chart.
 
 

@@ -242,7 +242,7 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
         for k, (x, y, width, height) in enumerate(np.stack(sides, axis=-1).reshape(-1, 4)):
             corners = _xy(plot, [x, x + width, x + width, x], [y, y, y + height, y + height])
             tip = _xy(plot, [x + width / (2 - level)], [y + height / (1 + level)])
-            look = {"colour": "hatched" if layer.hatch else to_hex(colours[k % len(colours)]), "alpha": 1.0}
+            look = {"colour": to_hex(colours[k % len(colours)]), "alpha": 1.0}
             yield {"kind": "area", **about, **corners, **look, "at": [tip["x"][0], tip["y"][0]]}
     elif isinstance(layer, plots.Area):
         x, low, high = (np.atleast_1d(np.asarray(values, float)) for values in (layer.x, layer.low, layer.high))

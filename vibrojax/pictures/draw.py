@@ -178,7 +178,7 @@ def _draw_layer(axes: Axes, layer: plots.Layer, plot: Plot) -> None:
             shown.set_clip_on(layer.clip or not (np.isfinite(x) & np.isfinite(y)).any())
     elif isinstance(layer, plots.Bars):
         x, y, wide, high = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)
-        look = {"edgecolor": layer.edge or "none", "linewidth": 0.4, "hatch": layer.hatch or None}
+        look = {"edgecolor": layer.edge or "none", "linewidth": 0.4}
         axes.bar(x, high, wide, y, align="edge", color=layer.colours, zorder=layer.order, **look)
     elif isinstance(layer, plots.Area):
         x, low, high = _inside(layer.x, plot.x), _inside(layer.low, plot.y), _inside(layer.high, plot.y)

@@ -77,7 +77,6 @@ class Bars:
     height: Places = ()
     colours: str | Sequence[str] = FAINT
     edge: str = ""
-    hatch: str = ""
     label: str = ""
     order: float = 1.0
 
@@ -293,7 +292,7 @@ def labelled_layers(plot: Plot) -> list[Key]:
             if isinstance(layer, Points):
                 entries[layer.label] = dots(marker=layer.marker, size=float(np.max(layer.sizes)), **look)
             else:
-                entries[layer.label] = Area(edge=layer.edge, hatch=layer.hatch, **look)
+                entries[layer.label] = Area(edge=layer.edge, **look)
         else:
             entries[layer.label] = layer
     return list(entries.values())

@@ -36,21 +36,7 @@ from vibrojax.pictures.colours import (
 from vibrojax.pictures.contents import ATTRACTOR, HIDDEN, NAMED, REGIME, START, axes_of_map, swept, without_single
 from vibrojax.pictures.layout import MOST_PANELS, at, facets
 from vibrojax.pictures.maps import cell_layers, maps_of
-from vibrojax.pictures.plots import (
-    Axis,
-    Bars,
-    Cells,
-    Key,
-    Layer,
-    Line,
-    Look,
-    Plot,
-    Sheet,
-    Text,
-    bars,
-    dots,
-    patch,
-)
+from vibrojax.pictures.plots import Axis, Bars, Cells, Key, Layer, Line, Look, Plot, Sheet, Text, bars, dots, patch
 from vibrojax.pictures.starts import PREFIX, on_axes
 from vibrojax.studies import attractor_groups as grouping
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, analyse

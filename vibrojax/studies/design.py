@@ -22,14 +22,7 @@ from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Shee
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.progress import Progress
 from vibrojax.studies.analysis import PictureRule, SummaryPart, analyse
-from vibrojax.studies.design_requirements import (
-    Assessment,
-    DesignSpec,
-    Front,
-    extreme,
-    infeasibility,
-    read_design,
-)
+from vibrojax.studies.design_requirements import Assessment, DesignSpec, Front, extreme, infeasibility, read_design
 from vibrojax.studies.design_search import Search
 from vibrojax.studies.subjects import FileAnalysis
 

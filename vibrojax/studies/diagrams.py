@@ -75,11 +75,10 @@ def campbell(ds: xr.Dataset) -> Sheet:
             for name, marker in _MOTIONS.items():
                 if name in line.lanes:
                     values = np.broadcast_to(line.lanes[name].values, along.shape)
-                    repeats = (
-                        np.broadcast_to(line.lanes["cycles"].values > 0, along.shape) if named else ~np.isnan(values)
-                    )
-                    for shown, look in ((repeats, _marks(marker) | nested(k)), (~repeats, _MEAN | {"marker": marker})):
-                        if (shown & ~np.isnan(values)).any():
+                    repeats = np.broadcast_to(line.lanes["cycles"].values > 0 if named else True, along.shape)
+                    for mask, look in ((repeats, _marks(marker) | nested(k)), (~repeats, _MEAN | {"marker": marker})):
+                        shown = mask & ~np.isnan(values)
+                        if shown.any():
                             layers.append(dots(along[shown], values[shown], colour=line.colour, **look))
         free = np.inf  # right of it, rays have their labels
         for order in range(1, _ORDERS + 1) if turns else ():
