@@ -194,8 +194,7 @@ def _setting(field: "Field[Any]", text: str) -> object:
     if kind.startswith("tuple"):
         items = [item.strip() for item in text.split(",")]
         if not all(items) or (kind.count(",") == 1 and "..." not in kind and len(items) != 2):
-            example = field.metadata.get("example", "A,B")
-            raise InputError(f"{option}: {shown(text)} is not a pair of names; write two, like {example}")
+            raise InputError(f"{option}: {shown(text)} is not a pair of names; write two, like A,B")
         return tuple(items)
     if kind.startswith("bool"):
         if text not in ("true", "false"):

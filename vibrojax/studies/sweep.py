@@ -293,7 +293,12 @@ def frequencies(ds: xr.Dataset) -> dict[str, xr.DataArray]:
     >>> f"{float(outputs['striker_frequency']):.3f} Hz, {float(outputs['blow_frequency']):.1f} blows per minute"
     '2.984 Hz, 261.3 blows per minute'
     """
-    known = {**_of_sweep(ds), **parameters_of(ds), **{str(name): x for name, x in ds.coords.items()}}
+    try:  # the rotation that a sweep file states is not among the parameters of the scene
+        table = tomllib.loads(str(ds.attrs.get("sweep", ""))).get("parameters", {})
+    except tomllib.TOMLDecodeError:
+        table = {}
+    known = {name: x for name, x in table.items() if name in ("rpm", "bit_radius") and isinstance(x, (int, float))}
+    known |= {**parameters_of(ds), **{str(name): x for name, x in ds.coords.items()}}
     arrays = {name: xr.DataArray(x) for name, x in known.items() if name in _USED}
     given = {name: x.astype(float) for name, x in arrays.items() if x.dtype.kind in "fiu"}
     with np.errstate(all="ignore"):  # a dataset from elsewhere may hold any numbers
@@ -315,15 +320,6 @@ def _computed(ds: xr.Dataset, given: dict[str, xr.DataArray]) -> dict[str, xr.Da
     if "bit_radius" in given and ("rpm" in given or "v" in values):
         found["rpm"] = given["rpm"] if "rpm" in given else 60 * values["v"] / (2 * pi * given["bit_radius"])
     return found
-
-
-def _of_sweep(ds: xr.Dataset) -> dict[str, Any]:
-    """Return the rotation that a sweep file specifies, which is not among the parameters of the scene."""
-    try:
-        table = tomllib.loads(str(ds.attrs.get("sweep", ""))).get("parameters", {})
-    except tomllib.TOMLDecodeError:
-        return {}
-    return {name: x for name, x in table.items() if name in ("rpm", "bit_radius") and isinstance(x, (int, float))}
 
 
 def frequency_part(ds: xr.Dataset) -> SummaryPart:
