@@ -454,3 +454,31 @@ def test_tracks_of_rig_log_choose_rows(browser: Any, tmp_path: Path) -> None:
         for key in ("ArrowRight", "End", "Enter"):
             cloud.press(key)
         assert "depth = 1510 m" in title.inner_text()
+
+
+def test_areas_are_read_where_they_are_pointed_at_and_attractors_have_names(browser: Any, tmp_path: Path) -> None:
+    """Of two attractors the second has 30 % of the starts at the first point; its regime stands beside its number."""
+    over = ("gamma", "attractor")
+    shares = {"share": (over, [[0.7, 0.3], [1.0, 0.0]]), "share_stderr": (over, np.full((2, 2), 0.05))}
+    shares |= {"regime": (over, [[3, 6], [3, 6]]), "unassigned": ("gamma", [0, 0])}
+    shares |= {"lane_attractor": (("gamma", "start"), [[0, 0, 1], [0, 0, 0]])}
+    ds = xr.Dataset(shares, {"gamma": [0.6, 0.7]}, {"kind": "attractors", "scene": "vibro-impact"})
+    with _open(browser, ds, tmp_path / "shares.html") as opened:
+        flags = opened.evaluate("vibrojax.grid.variables.get('lane_attractor').flags")
+        assert flags == {"0": "attractor 0, single-impact", "1": "attractor 1, irregular"}
+        plot = opened.page.locator(".vx-plots canvas[role=img]").first
+        x, y = plot.evaluate("c => [c.frame.x(0.61), c.frame.y(85)]")
+        plot.hover(position={"x": x, "y": y})
+        assert re.match(r"1: irregular.*: 30 %\ngamma 0.6$", opened.page.locator(".vx-plots .vx-tip").inner_text())
+
+
+def test_followed_orbits_are_within_the_diagram_of_returns(browser: Any, tmp_path: Path) -> None:
+    run = {"settle": 2.0, "observe": 3.0, "keep_returns": 4}
+    ds = vj.run_sweep({"scene": "vibro-impact", "grid": {"gamma": [0.6, 0.7]}, "run": run}, progress=False)
+    document = contents_of(ds).document
+    line = {"kind": "line", "x": [0.6, 0.7], "y": [50.0, 60.0], "colour": "#222222", "width": 1.0, "dash": [3.0, 1.0]}
+    document["overlay"] = {"variable": document["variables"][0]["name"], "along": "gamma", "items": [line]}
+    (tmp_path / "over.html").write_text(page_text(document), encoding="utf-8")
+    with OpenPage(browser, tmp_path / "over.html") as opened:
+        assert opened.evaluate("vibrojax.view.frame.yAxis.limits[1]") > 60
+        assert "followed orbits, not stable" in opened.page.locator(".vx-legend").inner_text()

@@ -189,17 +189,14 @@ def variable_document(data: xr.DataArray, of_attractors: Sequence[str] = ()) -> 
     data = data.isel(multiplier=0) if "multiplier" in data.dims else data
     value = value_of(data)
     meanings = {str(flag): name for flag, name in flags(data).items()} if value.names else None
-    colours = None
+    palette = {number: to_hex(value.colour_map(value.norm(number))) for number in value.names}
     if data.name == "lane_attractor":
-        numbers = [int(x) for x in np.unique(data.values)]
+        numbers = np.unique(data.values).astype(int).tolist()
         meanings = {str(n): f"attractor {n}" if n >= 0 else "unassigned" for n in numbers}
-        palette = dict(enumerate(of_attractors))
-        colours = {str(n): palette.get(n, BEYOND) for n in numbers}
+        palette = dict.fromkeys(numbers, BEYOND) | dict(enumerate(of_attractors))
     elif meanings is not None and "single-impact" in meanings.values():
-        colours = {flag: REGIME_COLOURS.get(int(flag), _other_colour(flag)) for flag in meanings}
-    elif meanings is not None:
-        palette = {number: to_hex(value.colour_map(value.norm(number))) for number in value.names}
-        colours = {flag: palette.get(int(flag), _other_colour(flag)) for flag in meanings}
+        palette = REGIME_COLOURS
+    shades = [palette.get(int(flag), OTHER_COLOURS[int(flag) % len(OTHER_COLOURS)]) for flag in meanings or ()]
     label = "\n".join(one_line(line) for line in value.label.split("\n")[:3])
     return {
         "name": str(data.name),
@@ -209,7 +206,7 @@ def variable_document(data: xr.DataArray, of_attractors: Sequence[str] = ()) -> 
         "factor": value.factor,
         "axes": [str(name) for name in data.dims],
         "flags": meanings,
-        "colours": colours,
+        "colours": None if meanings is None else dict(zip(meanings, shades, strict=True)),
         "map": None if meanings is not None else value.colour_map.name,
         "low": float(value.norm.vmin or 0.0),
         "high": float(value.norm.vmax or 1.0),
@@ -219,10 +216,6 @@ def variable_document(data: xr.DataArray, of_attractors: Sequence[str] = ()) -> 
         "whole": data.dtype.kind in "iu" and meanings is None,
         "data": pack(np.asarray(data.values)),
     } | ({"inner": RETURN, "count": data.sizes[RETURN]} if RETURN in data.dims else {})
-
-
-def _other_colour(flag: str) -> str:
-    return OTHER_COLOURS[int(flag) % len(OTHER_COLOURS)]
 
 
 def run_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:

@@ -134,7 +134,7 @@ function historyPanels(page, motion) {
   });
 }
 
-/** A list of states, of which one is chosen: at first the striker's velocity, where it is among them. */
+/** A list of states; at first the striker's velocity is chosen, where it is among them. */
 function stateChoice({ shown, current }, key, names, label) {
   if (!names.includes(shown[key])) shown[key] = names.includes("v2") ? "v2" : names.at(-1);
   return el("select", { "aria-label": label, "data-control": key, onchange: (event) => { shown[key] = event.target.value; current.draw(); } },

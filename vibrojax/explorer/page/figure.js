@@ -118,7 +118,7 @@ export class Figure {
     const { page } = this, ink = inkOf(canvas), figure = canvas.closest?.("figure");
     const axis = (one) => ({ ...one, ticks: one.ticks ?? undefined });
     framed(canvas, ink, axis(plot.x), { ...axis(plot.y), bare: plot.bare && !canvas.source && figure.offsetLeft > figure.parentNode.firstChild.offsetLeft }, (c, sx, sy, box) => {
-      const bars = plot.items.some(({ at }) => at), here = !canvas.source && Object.entries(plot.at).every(([name, k]) => page.cell[name] === k);  // no cursor in a file, and beside the chosen cell
+      const bars = plot.items.some(({ at }) => at), here = !canvas.source && Object.entries(plot.at).every(([name, k]) => page.cell[name] === k);  // no cursor in a file
       const [x, y] = here ? [chosenAt(page, plot.x.direction), chosenAt(page, plot.y.direction)] : [];
       const cursor = () => {
         if (x !== undefined) uprightLine(c, sx(x), box, ink.ink, 1.2, [3, 3]);

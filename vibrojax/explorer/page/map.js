@@ -126,7 +126,7 @@ export class MapView {
     }
   }
 
-  /** What of the borders or curves is on the plane that is shown: of its points as the function gives them. */
+  /** Those of a list of curves, or of their corners, that are on the map. */
   onMap(list, pointsOf) {
     const { x, y, borders } = this.view;
     return borders && y && x.column === x.axis ? (list ?? []).filter((one) => [x, y].every((way) => way.axis.name in pointsOf(one)) && this.onPlane(one)) : [];

@@ -347,7 +347,7 @@ class Page {
     return { title, notes: [this.withCommon(point?.title || grid.cellText(cell, named))], name: [title, point?.title ?? grid.nameText(cell, named)].filter(Boolean).join("_"), ...more };
   }
 
-  /** A text, and the values that are the same everywhere. */
+  /** A text, and the values that all share. */
   withCommon(text) { return [text, this.data.common].filter(Boolean).join(", "); }
 
   /** The values that are the same over a plot along some axes. */

@@ -105,8 +105,10 @@ export async function picture(canvas, draw, { title = "", notes = [], keys = [],
 }
 
 function sheetOf(canvas, draw, title, notes, keys, bar, type) {
-  const { width, height } = canvas.getBoundingClientRect(), ink = inkOf(canvas), top = title ? 26 : 6;
+  const { width, height } = canvas.getBoundingClientRect(), ink = inkOf(canvas);
   const inner = document.createElement("canvas"), probe = inner.getContext("2d");
+  probe.font = `bold 12.5px ${FONT}`;
+  const heads = wrapped(probe, title, width - 20), top = 8 + 18 * heads.length;
   probe.font = `11px ${FONT}`;
   const rows = rowsOf(probe, keys, width - 16), lines = notes.filter(Boolean).flatMap((note) => wrapped(probe, note, width - 24));
   const below = top + height + (bar ? 52 : 0), whole = below + 17 * rows.length + 15 * lines.length + 10;
@@ -115,7 +117,7 @@ function sheetOf(canvas, draw, title, notes, keys, bar, type) {
     c.fillRect(0, 0, width, whole);
     plot();
     const write = (text, font, x, y, textAlign = "left") => { Object.assign(c, { fillStyle: ink.ink, font: `${font} ${FONT}`, textAlign, textBaseline: "middle" }); c.fillText(text, x, y, width - 20); };
-    if (title) write(title, "bold 12.5px", 10, 14);
+    heads.forEach((head, k) => write(head, "bold 12.5px", 10, 14 + 18 * k));
     if (bar) {
       drawBar(c, bar, 20, top + height, width - 40, ink);
       write(bar.label, "11.5px", width / 2, top + height + 42, "center");

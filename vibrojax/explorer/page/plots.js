@@ -221,7 +221,7 @@ function zoomed(canvas, ...axes) {
   });
 }
 
-/** Fill a cell between two ends on each axis, to whole pixels of the screen: at fractions of them, neighbours would leave a hairline. */
+/** Fill a cell to whole pixels of the screen: fractions would leave hairlines between neighbours. */
 export function fillCell(c, ...ends) {
   const [x0, x1, y0, y1] = ends.map((end) => Math.round(end * c.ratio) / c.ratio);
   c.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
@@ -246,7 +246,7 @@ export function line(c, xs, ys, sx, sy, colour, width = 1.6, dash = []) {
 
 const same = (pixel) => pixel;
 
-/** A line through a frame at a pixel: from its top to its bottom, or from its left to its right. */
+/** A line through a frame at a pixel, upright or level. */
 export const uprightLine = (c, x, { top, bottom }, colour, width = 1.2, dash = []) => line(c, [x, x], [top, bottom], same, same, colour, width, dash);
 export const levelLine = (c, y, { left, right }, colour, width = 1.2, dash = []) => line(c, [left, right], [y, y], same, same, colour, width, dash);
 
@@ -319,7 +319,7 @@ export function entry(key, content = key.text) {
   return el("li", {}, sign, content);
 }
 
-/** The bar of a quantity's colours in the page, below its name. `drawSigns` draws it. */
+/** The bar of a quantity's colours in the page, and its name. `drawSigns` draws it. */
 export function barElements(bar) {
   const canvas = el("canvas", { class: "vx-bar", role: "img", "aria-label": `Colours of ${bar.label} from ${numberText(bar.low)} to ${numberText(bar.high)}` });
   return [el("p", { class: "vx-barname", text: bar.label }), Object.assign(canvas, { bar })];
