@@ -6,7 +6,6 @@ Bifurcation and Chaos* 1, 1991, section 3).
 """
 
 from collections.abc import Iterable
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from vibrojax.periodic.arclength import Branches
 from vibrojax.periodic.brackets import Brackets, TestFunction, interpolate
 from vibrojax.periodic.location import Locator, Test
 from vibrojax.periodic.newton import multipliers
-from vibrojax.periodic.problem import AT_CROSSING, Flags, Index, PerLane, Points, Problem, Unknowns
+from vibrojax.periodic.problem import AT_CROSSING, Flags, Index, PerLane, Points, Problem
 
 BRANCH_POINT, FOLD, DOUBLING = map(SPECIAL_KINDS.index, ("branch-point", "fold", "period-doubling"))
 
@@ -25,6 +24,9 @@ NO_CHANGE = 1e-6
 
 SHORT, BRANCH_STEPS = 0.02, 20
 """Length of a bracket from which on Newton's method begins at its zero, and limit of the orbits that shorten it."""
+
+ASIDE = 0.1
+"""Distance of these orbits from the predicted zero, relative to the bracket."""
 
 POLISHING_STEPS, POLISHED = 12, 1e-12
 """Largest number of Newton steps at a branch point, and their size at which they end."""
@@ -96,36 +98,35 @@ def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
     """Return the branch point in one bracket, or None if it cannot be located.
 
     Where the halves of the orbit are equal, the orbit of half the period doubles, and the kind is that of a doubling.
-    The corrector fails near the point, where two solutions meet. Newton's method for the point itself begins at a zero
-    that is interpolated between orbits on both sides.
+    The corrector fails near the point, where two solutions meet: orbits beside it shorten the bracket, and Newton's
+    method for the point itself begins at the zero between them.
     """
-    begin, row = bracket.near, _chord(bracket)
-    known = {0.0: begin, float(np.linalg.norm(bracket.far.u - begin.u)): bracket.far}
-    values = {place: float(augmented(points, begin)[0]) for place, points in known.items()}
-    for _ in range(BRANCH_STEPS):
-        low, high = _ends(values)
-        if high - low <= SHORT:
+    begin, near, far = bracket.near, bracket.near, bracket.far
+    # At a pitchfork, one of the branches turns, so sharply that tangents at the ends may be normal to the chord.
+    row = (far.u - near.u) / np.linalg.norm(far.u - near.u)
+    for step in range(BRANCH_STEPS + 1):
+        chord = (far.u - near.u)[0]
+        first, last = (float(augmented(x, begin)[0]) for x in (near, far))
+        zero, width = first / (first - last), float(row[0] @ chord)
+        if width <= SHORT or step == BRANCH_STEPS:
             break
-        zero, aside = _zero(values, low, high), 0.1 * (high - low)
-        place = float(
-            np.clip(zero + (-aside if zero - low > high - zero else aside), low + aside / 2, high - aside / 2)
-        )
-        guess = _between(known, row, place, low, high)[0]
-        now, converged = problem.correct(begin.family, guess, row, place + row @ begin.u[0])
+        share = np.clip(zero + (ASIDE if zero < 0.5 else -ASIDE), ASIDE / 2, 1 - ASIDE / 2)
+        ahead, behind = (width * x.tangent / np.einsum("ij,ij->i", x.tangent, row)[:, None] for x in (near, far))
+        guess = interpolate(near.u, far.u, ahead, behind, np.array([share]))
+        now, converged = problem.correct(begin.family, guess, row, np.einsum("ij,ij->i", row, guess))
         if not converged[0]:
             break
-        known[place] = now.along(row)
-        values[place] = float(augmented(known[place], begin)[0])
-    low, high = _ends(values)
-    u, slope = _between(known, row, _zero(values, low, high), low, high)
+        now = now.along(row)
+        near, far = (now, far) if augmented(now, begin)[0] * first > 0 else (near, now)
+    u = near.u + zero * chord
     point = _polished(problem, problem.evaluate(begin.family, u))
     if point is None or not np.abs(point.u - u).max() < BESIDE:
         return None
     directions = _directions(problem, point)
     if directions is None:
         return None
-    tangent = max(directions, key=lambda t: abs(float(t @ slope[0])))
-    point = point._replace(tangent=(tangent * np.sign(tangent @ slope[0]))[None])
+    tangent = max(directions, key=lambda t: abs(float(t @ chord)))
+    point = point._replace(tangent=(tangent * np.sign(tangent @ chord))[None])
     half = problem.halves(point)
     same = np.linalg.norm(half) < SAME_HALVES * np.linalg.norm(point.u)
     if np.abs(multipliers(point.product) - 1).min(initial=np.inf) > CRITICAL_MULTIPLIER:
@@ -189,43 +190,6 @@ def _curvature(problem: Problem, point: Points, w: np.ndarray) -> np.ndarray:
     now = problem.evaluate(np.repeat(point.family, 2 * size), point.u + np.concatenate([moves, -moves]))
     rows = np.einsum("i,kij->kj", w, now.matrix)
     return np.asarray((rows[:size] - rows[size:]).T / (2 * CURVATURE_STEP))
-
-
-def _chord(bracket: Brackets) -> Unknowns:
-    """Return the direction from one end of a bracket to the other.
-
-    At a pitchfork, one of the branches turns, so sharply that tangents at its ends may be normal to this direction.
-    """
-    chord = bracket.far.u - bracket.near.u
-    return np.asarray(chord / np.linalg.norm(chord, axis=1, keepdims=True))
-
-
-def _ends(values: dict[float, float]) -> tuple[float, float]:
-    """Return the places on both sides of the change of sign."""
-    places = sorted(values)
-    return next((a, b) for a, b in pairwise(places) if values[a] * values[b] <= 0)
-
-
-def _zero(values: dict[float, float], low: float, high: float) -> float:
-    """Return the zero of the values by inverse interpolation through up to four places around the change of sign."""
-    nearest = sorted(values, key=lambda place: abs(place - (low + high) / 2))[:4]
-    y = np.array([values[place] for place in nearest])
-    terms = [
-        place * np.prod([-y[m] / (y[k] - y[m]) for m in range(len(y)) if m != k]) for k, place in enumerate(nearest)
-    ]
-    zero = float(np.sum(terms))
-    return zero if low < zero < high else (low + high) / 2
-
-
-def _between(
-    known: dict[float, Points], row: np.ndarray, place: float, low: float, high: float
-) -> tuple[Unknowns, Unknowns]:
-    """Return the unknowns at a place between two orbits, and their derivative along the places."""
-    near, far, width = known[low], known[high], high - low
-    from_near, from_far = (width * x.tangent / np.einsum("ij,ij->i", x.tangent, row)[:, None] for x in (near, far))
-    share, small = np.array([(place - low) / width]), 1e-3
-    ends = [interpolate(near.u, far.u, from_near, from_far, share + step) for step in (0.0, small, -small)]
-    return ends[0], (ends[1] - ends[2]) / (2 * small * width)
 
 
 def _directions(problem: Problem, point: Points) -> np.ndarray | None:

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.compile.xla import workers
 from vibrojax.periodic.equilibria import equilibrium_near, section_product
 from vibrojax.periodic.event_map import conditions_of, event_mapped
 from vibrojax.periodic.newton import (
@@ -35,9 +34,9 @@ from vibrojax.periodic.newton import (
     solve,
 )
 from vibrojax.periodic.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
-from vibrojax.periodic.return_map import in_calls
+from vibrojax.periodic.return_map import bounds_of, over_segments
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
-from vibrojax.stepping import Accuracy, Located
+from vibrojax.stepping import Located
 
 FLIP_STEP = 1e-3
 """Scaled difference of states from which third derivatives are taken. Second derivatives are exact."""
@@ -87,14 +86,9 @@ class CurveProblem(Problem):
         """Return the images of the states past grazes, and the scaled derivatives of the signed margins."""
         p, states = self.segments(curve, u)
         cycles = self.cycles(u)
-        weights = np.repeat(chosen, cycles, axis=0).T
-        accuracy, most_steps = Accuracy(*map(np.float64, FAMILY_ACCURACY)), np.float64(self.most_steps)
-
-        def work(part: Any) -> Any:
-            own = {name: p[name][part] for name in self.scene.parameters()}
-            return event_mapped(self.scene, self.along, own, states[:, part], weights[:, part], accuracy, most_steps)
-
-        images, rate = in_calls(work, states.shape[1], workers())
+        own = {name: p[name] for name in self.scene.parameters()}, states, np.repeat(chosen, cycles, axis=0).T
+        bounds = bounds_of(FAMILY_ACCURACY, self.most_steps)
+        images, rate = over_segments(lambda *part: event_mapped(self.scene, self.along, *part, *bounds), *own)
         columns = np.column_stack([self.scales[curve], self.unit[curve]])
         rates = np.asarray(rate).T.reshape(len(u), cycles, -1) * columns[:, None]
         return images_by_lane(images, len(u), cycles), rates
@@ -208,15 +202,14 @@ class CurveProblem(Problem):
         segment, column = np.repeat(np.arange(lanes * cycles), rows + 2), np.tile(np.arange(rows + 2), lanes * cycles)
         second = (np.arange(rows)[:, None] == column) + 0.0
         changes = {name: (column == rows + k) + 0.0 for k, name in enumerate(self.along)}
-        accuracy, most_steps = Accuracy(*map(np.float64, DERIVATIVE_ACCURACY)), np.float64(self.most_steps)
+        own = {name: p[name][segment] for name in self.scene.parameters()}
+        pairs = {name: (x, changes.get(name, 0.0 * x)) for name, x in own.items()}
+        begin, bounds = (states[:, segment], first[:, segment], second), bounds_of(DERIVATIVE_ACCURACY, self.most_steps)
 
-        def work(part: Any) -> Any:
-            own = {name: p[name][segment[part]] for name in self.scene.parameters()}
-            pairs = {name: (x, changes[name][part] if name in changes else 0.0 * x) for name, x in own.items()}
-            begin = states[:, segment[part]], first[:, segment[part]], second[:, part]
-            return second_variation(self.scene, Located(), pairs, *begin, accuracy, most_steps)[1][2]
+        def moved(*part: Any) -> Any:
+            return second_variation(self.scene, Located(), *part, *bounds)[1][2]
 
-        slopes = np.asarray(in_calls(work, len(segment), workers()))
+        slopes = np.asarray(over_segments(moved, pairs, *begin))
         return self.scaled(curve, np.moveaxis(slopes.reshape(rows, lanes, cycles, rows + 2), 0, 2))
 
     def _singular(self, curve: Index, u: Unknowns, jacobian: np.ndarray) -> tuple[PerLane, Unknowns]:

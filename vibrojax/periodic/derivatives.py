@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from vibrojax.compile.xla import precision, workers
+from vibrojax.compile.xla import precision
 from vibrojax.io.variables import VARIABLES
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.labels import measured_besides
@@ -25,12 +25,12 @@ from vibrojax.measures.repeats import KeptReturns
 from vibrojax.measures.section import on_orbit
 from vibrojax.periodic.measuring import observation, past_states, past_times
 from vibrojax.periodic.newton import PerLane, chain, solve
-from vibrojax.periodic.return_map import in_calls
+from vibrojax.periodic.return_map import bounds_of, over_segments
 from vibrojax.periodic.tangent_loop import with_derivatives
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, ZERO_MULTIPLIER, Variations, eigenvalues
 from vibrojax.physics.arrays import Array, Lanes
 from vibrojax.scenes import Scene
-from vibrojax.stepping import Accuracy, Located, lane_at
+from vibrojax.stepping import Located, lane_at
 
 NEAR_EVENT = 1e-4
 """Grazing margin below which derivatives are not valid: they would hold over a parameter range of about its square."""
@@ -252,18 +252,16 @@ def _measured(
     length, d_length = varied.times.sum(axis=1), varied.d_times.sum(axis=1)
     past, when, d_when = past_states(states), past_times(varied.times), past_times(varied.d_times)
     settle, observe, counted = observation(scene, varied.times)
-    lane, direction = np.repeat(np.arange(lanes), len(by)), np.tile(np.arange(len(by)), lanes)
 
-    def work(part: Any) -> Any:
-        i, j = lane[part], direction[part]
-        p = {name: parameters[name][i] for name in scene.parameters()}
-        unit = {name: (j == by.index(name)) + 0.0 if name in by else 0.0 * j for name in p}
-        on = _OnOrbit(p, states[i, 0].T, when[:, i], length[i] / cycles)
-        along = _OnOrbit(unit, varied.d_states[i, 0, :, j].T, d_when[:, i, j], d_length[i, j] / cycles)
-        effort = Effort(Accuracy(*map(np.float64, DERIVATIVE_ACCURACY)), np.float64(MOST_STEPS_MEASURED))
-        return _features_along(scene, on, along, past[..., i], settle[i], observe[i], effort)
-
-    both = in_calls(work, len(lane), workers())
+    i, j = np.repeat(np.arange(lanes), len(by)), np.tile(np.arange(len(by)), lanes)
+    p: dict[str, Lanes] = {name: parameters[name][i] for name in scene.parameters()}
+    unit = {name: (j == by.index(name)) + 0.0 if name in by else 0.0 * j for name in p}
+    on = _OnOrbit(p, states[i, 0].T, when[:, i], length[i] / cycles)
+    along = _OnOrbit(unit, varied.d_states[i, 0, :, j].T, d_when[:, i, j], d_length[i, j] / cycles)
+    effort = Effort(*bounds_of(DERIVATIVE_ACCURACY, MOST_STEPS_MEASURED))
+    both = over_segments(
+        lambda *own: _features_along(scene, *own, effort), on, along, past[..., i], settle[i], observe[i]
+    )
     table, tangents = ({name: np.asarray(x).reshape(lanes, len(by)) for name, x in t.items()} for t in both)
     values = {name: x[:, 0] for name, x in table.items()}
     whole = (values["finished"] > 0) & (values["finite"] > 0)

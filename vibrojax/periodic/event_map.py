@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lazy import jax, jnp, lax
-from vibrojax.periodic.margin import DEPARTED, FLAT, Margin
+from vibrojax.periodic.margin import DEPARTED, Margin, turning
 from vibrojax.periodic.return_map import Mapped, ReturnLoop, map_state
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes import Scene
@@ -182,30 +182,18 @@ def event_mapped(
     return Mapped(image, flight.time, jacobian, flight.seen), moved.seen.margin[:, 0]
 
 
-def _turn(f: Coefficients, end: Array) -> tuple[Flags, Array]:
-    """Return a mask of the functions with a minimum up to `end`, and the minimum's place."""
-    rate = [k * coefficient for k, coefficient in enumerate(f)][1:]
-    start, last = rate[0], value(rate, end)
-    turns = (start < 0) & (last > FLAT * start)
-    place = jnp.where(turns, end * start / jnp.where(turns, start - jnp.maximum(last, 0.0), 1), 0)
-    for _ in range(3):
-        better = place - value(rate, place) / slope(rate, place)
-        place = jnp.where(turns & (better > 0) & (better < end), better, place)
-    return turns, place
-
-
 def _signed_minimum(f: Coefficients, step: Step, scale: Array) -> Array:
     """Return the minimum of a function within the step, which may be negative; infinity without a minimum.
 
     A motion that has just reached or left the surface begins next to it, with a rate that is a rounding error.
     """
-    turns, place = _turn(f, step.tau)
+    turns, place = turning(f, step.tau)
     return jnp.where(turns & (jnp.abs(f[0]) > DEPARTED * scale), value(f, lax.stop_gradient(place)), jnp.inf)
 
 
 def _least_value(f: Coefficients, end: Array) -> Array:
     """Return the least value of a function between the start of the step and `end`."""
-    turns, place = _turn(f, end)
+    turns, place = turning(f, end)
     return jnp.minimum(jnp.minimum(f[0], value(f, end)), jnp.where(turns, value(f, place), jnp.inf))
 
 

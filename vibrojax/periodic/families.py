@@ -287,10 +287,11 @@ def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
     """Move grazes of one branch that were reached from the side with more events to their limits.
 
     Other changes of events up to the limit are the same graze: short of it, its events are too near to be told apart.
+    Where a mass grazes against friction, the last event that is told apart may be a stick.
     """
     for segment in segments:
-        for mark in [mark for mark in segment.marks if mark.kind == "grazing" and not mark.event]:
-            if spectral_radius(mark.orbit.product)[0] < STEEP_GRAZE:
+        for mark in [mark for mark in segment.marks if mark.kind in ("grazing", "stick") and not mark.event]:
+            if spectral_radius(mark.orbit.product)[0] < STEEP_GRAZE or all(m is not mark for m in segment.marks):
                 continue
             before = segment.points.of(slice(0, mark.place + 1))
             limit = extrapolated_graze(problem, Points.join([before, mark.orbit]))
@@ -307,7 +308,8 @@ def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
             for each in segments:
                 each.marks = [m for m in each.marks if not is_same(m)]
             place = next(k for k, m in enumerate(segment.marks) if m is mark)
-            segment.marks[place] = mark._replace(orbit=mark.orbit._replace(u=limit, margin=np.zeros(1)))
+            orbit = mark.orbit._replace(u=limit, margin=np.zeros(1))
+            segment.marks[place] = mark._replace(kind="grazing", orbit=orbit)
 
 
 def _end_at_hopf(segment: Segment, hopf: Points, note: str) -> None:
@@ -352,18 +354,27 @@ def in_order(segments: list[Segment]) -> tuple[list[Mark], list[Mark]]:
 
 
 def _thin_out(segment: Segment) -> tuple[list[Mark], list[Mark]]:
-    """Return the points of a segment at a distance of about `POINT_SPACING` and at special points; and the latter."""
+    """Return the points of a segment at a distance of about `POINT_SPACING` and at special points; and the latter.
+
+    Between two special points, however near, there is one of the computed points, which shows the stability there.
+    """
     points: list[Mark] = []
     marks = [mark._replace(branch=segment.branch) for mark in segment.marks]
-    pending, last = list(marks), len(segment.points.u) - 1
-    for k in range(last + 1):
-        orbit = segment.points.of([k])
-        if k in (0, last) or _distance(points[-1].orbit, orbit) >= POINT_SPACING:
-            points.append(Mark(orbit, branch=segment.branch))
-        while pending and pending[0].place <= k:
-            mark = pending.pop(0)
-            if _distance(points[-1].orbit, mark.orbit) > 0:
-                points.append(mark)
+    first, last = 0, len(segment.points.u) - 1
+    for mark in (*marks, None):
+        end, before = last if mark is None else mark.place, len(points)
+        computed = [Mark(segment.points.of([k]), branch=segment.branch) for k in range(first, end + 1)]
+        for k, point in enumerate(computed, first):
+            if k in (0, last) or _distance(points[-1].orbit, point.orbit) >= POINT_SPACING:
+                points.append(point)
+        first += len(computed)
+        if mark is None:
+            break
+        if len(points) == before:
+            off = [min(_distance(x.orbit, point.orbit) for x in (points[-1], mark)) for point in computed]
+            points += [computed[int(np.argmax(off))]] if max(off, default=0.0) > 0 else []
+        if _distance(points[-1].orbit, mark.orbit) > 0:
+            points.append(mark)
     return points, marks
 
 

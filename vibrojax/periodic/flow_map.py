@@ -4,20 +4,15 @@ Segments of an orbit begin and end at any instants, so that orbits need no secti
 condition among the equations, they are followed wherever they lead.
 """
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
-from jaxtyping import Float
-
-from vibrojax.compile.xla import workers
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lazy import jax, jnp
-from vibrojax.periodic.return_map import MOST_STEPS, STEPS, _mode_changes, in_calls
+from vibrojax.periodic.return_map import _mode_changes
 from vibrojax.periodic.tangent_loop import Loop
 from vibrojax.physics.arrays import Array, Flags, Lanes, Real
 from vibrojax.scenes import Scene
-from vibrojax.stepping import Accuracy, Goal, Lane, Located, Stepper, lane_at
+from vibrojax.stepping import Accuracy, Goal, Lane, Stepper, lane_at
 
 
 class Flowed(NamedTuple):
@@ -125,29 +120,3 @@ def flowed(
         flow.least,
         flow.greatest,
     )
-
-
-class Flow:
-    """The flow of a scene over given times, in float64; `along`, `most`: see `flowed`."""
-
-    def __init__(
-        self, scene: Scene[Any], along: tuple[str, ...] = (), steps: Accuracy = STEPS, most: float = MOST_STEPS
-    ) -> None:
-        self._scene, self._along, self._steps = scene, along, Accuracy(*map(np.float64, steps))
-        self._most, self._workers = np.float64(most), workers()
-
-    def __call__(
-        self,
-        parameters: Mapping[str, Float[np.ndarray, " segments"]],
-        states: Float[np.ndarray, "states segments"],
-        duration: Float[np.ndarray, " segments"],
-    ) -> Flowed:
-        """Return the end of each segment; the last axis of all arrays is the segment."""
-
-        def work(part: np.ndarray) -> Flowed:
-            p = {name: x[part] for name, x in parameters.items()}
-            return flowed(
-                self._scene, Located(), self._along, p, states[:, part], duration[part], self._steps, self._most
-            )
-
-        return in_calls(work, states.shape[1], self._workers)

@@ -33,6 +33,16 @@ GRAZED_MARGIN = 1e-4
 """Largest grazing margin of a grazing point. The margin may vary as the square root of the distance, and points are
 located, or branches stall, within `SHORTEST_STEP` (1e-9)."""
 
+MARGIN_STEPS, CLOSER = 12, 0.9
+"""Steps along a branch to the zero of its margin, and the share of the way to the predicted zero that each advances at
+most."""
+
+AT_GRAZE = 1e-11
+"""Margin at which the steps end."""
+
+CHORD_STEPS, CHORD_SHARES = 6, (0.9, 0.5, 0.2)
+"""Steps towards a graze on the side with more events, and the shares of the way that are tried."""
+
 SAME_MARGIN = 1e-4
 """Relative difference of the margin up to which it goes on from one side of a change to the other."""
 
@@ -106,7 +116,8 @@ class Locator:
                 shrunk, success = shrink_brackets(self.problem, brackets, test)
                 events = brackets.kind == EVENT_CHANGE
                 located.append(self.accepted(brackets, shrunk, test, np.flatnonzero(success & ~events)))
-                change, whole = shrunk.of(success & events), brackets.of(success & events)
+                whole = brackets.of(success & events)
+                change = onto_grazes(self.problem, whole, shrunk.of(success & events))
                 located.append(self.classified(change))
                 before, behind = whole._replace(far=change.near), whole._replace(near=change.far)
                 parts = self._detect_smooth(before), self._detect(behind)
@@ -146,6 +157,52 @@ class Locator:
             return values
 
         return test
+
+
+def onto_grazes(problem: Problem, whole: Brackets, changes: Brackets) -> Brackets:
+    """Return located changes of events, the ends of which stay apart, with both ends next to the change.
+
+    A branch may turn back at a graze. The planes of its bracket then contain orbits of both sides, or of one side only,
+    before the graze is reached. The end with fewer events follows its margin, which is smooth there, to zero. The other
+    end follows the chord: special points may be between it and the graze. `whole`: the brackets that were shrunk.
+    """
+    ends = changes.near.of(slice(None)), changes.far.of(slice(None))
+    apart = np.abs(changes.far.u - changes.near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
+    more = (changes.far.signature - changes.near.signature).sum(axis=1)
+    for k in np.flatnonzero(apart & (more != 0)).tolist():
+        few, many = (0, 1) if more[k] > 0 else (1, 0)
+        before, last, other = (whole.near, whole.far)[few].of([k]), ends[few].of([k]), ends[many].of([k])
+        share = CLOSER
+        for _ in range(MARGIN_STEPS):
+            if last.margin[0] < AT_GRAZE:
+                break
+            row = last.tangent
+            way = float((row @ (last.u - before.u)[0])[0])
+            step = share * way * float(last.margin[0]) / float(before.margin[0] - last.margin[0])
+            now = _beside(problem, last, row, step) if abs(step) < abs(way) else None
+            if now is None or now.margin[0] >= last.margin[0]:
+                share /= 3  # the margin bends
+            else:
+                before, last, share = last, now, CLOSER
+        ends[few].put([k], last)
+        chord, sign = last.u - other.u, 1.0 if many == 0 else -1.0
+        for _ in range(CHORD_STEPS):
+            length = float(np.linalg.norm(chord))
+            closer = (_beside(problem, other, chord / length, share * length) for share in CHORD_SHARES)
+            now = next((now for now in closer if now is not None), None)
+            if now is None:
+                break
+            other = now.along(sign * now.tangent)
+            chord = last.u - other.u
+        ends[many].put([k], other)
+    return changes._replace(near=ends[0], far=ends[1])
+
+
+def _beside(problem: Problem, point: Points, row: Unknowns, step: float) -> Points | None:
+    """Return the orbit with the same events at a distance from a point along `row`, or None."""
+    guess = point.u + step * row
+    now, converged = problem.correct(point.family, guess, row, np.einsum("ij,ij->i", row, guess))
+    return now if converged[0] and (now.signature == point.signature).all() else None
 
 
 def _touching_end_first(changes: Brackets) -> Brackets:

@@ -182,14 +182,20 @@ def _near_miss(f: Coefficients, step: Step, scale: Array) -> "jax.Array":
 
     Steps end where friction reverses, and hence at minima of gaps, where the slope is a rounding error.
     """
-    rate = [k * coefficient for k, coefficient in enumerate(f)][1:]
-    start, end = rate[0], value(rate, step.tau)
-    turns = (start < 0) & (end > FLAT * start)
-    place = jnp.where(turns, step.tau * start / jnp.where(turns, start - end, 1), 0)
-    for _ in range(2):
-        better = place - value(rate, place) / slope(rate, place)
-        place = jnp.where(turns & (better > 0) & (better < step.tau), better, place)
+    turns, place = turning(f, step.tau, 2)
     least = value(f, place)
     # A motion that has just left a surface along a tangent begins next to it, with a rate that is a rounding error.
     departed = f[0] <= DEPARTED * scale
     return jnp.where(turns & (least > 0) & ~departed, least / scale, jnp.inf)
+
+
+def turning(f: Coefficients, end: Array, iterations: int = 3) -> tuple[Flags, Array]:
+    """Return a mask of the functions with a minimum up to `end`, and the minimum's place."""
+    rate = [k * coefficient for k, coefficient in enumerate(f)][1:]
+    start, last = rate[0], value(rate, end)
+    turns = (start < 0) & (last > FLAT * start)
+    place = jnp.where(turns, end * start / jnp.where(turns, start - jnp.maximum(last, 0.0), 1), 0)
+    for _ in range(iterations):
+        better = place - value(rate, place) / slope(rate, place)
+        place = jnp.where(turns & (better > 0) & (better < end), better, place)
+    return turns, place

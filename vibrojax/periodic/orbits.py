@@ -155,29 +155,25 @@ class Orbits:
         swing = np.where(swing > 0, swing, 1.0)
         scales = swing if scales is None else np.where(np.isnan(scales), swing, scales)
         states, residual = guess.copy(), residual_of(guess, best, scales)
-        iterate, now, outside, active = guess, best, np.zeros(count, bool), np.arange(count)
+        outside, active = np.zeros(count, bool), np.flatnonzero((residual > enough) & np.isfinite(residual))
+        iterate, now = guess[active], jax.tree.map(lambda x: x[active], best)
         for _ in range(iterations):
-            on = (residual[active] > enough) & np.isfinite(residual[active])
-            active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
-            if not len(active):
-                break
             iterate = iterate + newton_step(iterate, now, scales[active])
             # Far from the orbit, reaching the section may take thousands of steps.
             distance = distance_of(iterate, guess[active], scales[active])
             outside[active[distance > within[active]]] = True
-            on = distance <= within[active]
-            active, iterate = active[on], iterate[on]
+            near = distance <= within[active]
+            active, iterate = active[near], iterate[near]
             if not len(active):
                 break
             now = evaluate(iterate, active)
-            reached = residual_of(iterate, now, scales[active])
-            before = residual[active]
+            reached, before = residual_of(iterate, now, scales[active]), residual[active]
             better = reached < before
             kept = active[better]
             states[kept], residual[kept] = iterate[better], reached[better]
             _assign(best, kept, jax.tree.map(lambda x, better=better: x[better], now))
             # A small residual that hardly decreases is dominated by rounding errors.
-            on = np.isfinite(reached) & ((reached < before / 2) | (reached > ACCEPTED))
+            on = np.isfinite(reached) & (reached > enough) & ((reached < before / 2) | (reached > ACCEPTED))
             active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
         product, (margin, reach) = chain(best.jacobian), over_period(best.seen.margin).T
         outside |= same_side & (side * branch_determinant(product) < 0)

@@ -25,7 +25,7 @@ from vibrojax.scenes.declared import Section, Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
 from vibrojax.threads import in_parallel
 
-MOST_STEPS = 4000
+MOST_STEPS = 4000.0
 """Default limit of steps between two section crossings; the usual drill takes about fifty."""
 
 
@@ -238,26 +238,45 @@ periods by up to 3e-13 s."""
 
 
 class Segments:
-    """The return map of a scene and its derivative, in float64; `along`, `most`: see `mapped`."""
+    """A map of the segments of motions and its derivative, in float64: the return map, or the flow over given times.
+
+    `along`, `most`: see `mapped`; `program`: `mapped`, or [vibrojax.periodic.flow_map.flowed][].
+    """
 
     def __init__(
-        self, scene: Scene[Any], along: tuple[str, ...] = (), steps: Accuracy = STEPS, most: float = MOST_STEPS
+        self,
+        scene: Scene[Any],
+        along: tuple[str, ...] = (),
+        steps: Accuracy = STEPS,
+        most: float = MOST_STEPS,
+        program: Callable[..., Any] = mapped,
     ) -> None:
-        self._scene, self._along = scene, along
-        self._steps = Accuracy(*map(np.float64, steps))
-        self._most = np.float64(most)
-        self._workers = workers()
+        self._given = scene, Located(), along
+        self._program, self._bounds = program, bounds_of(steps, most)
 
     def __call__(
-        self, parameters: Mapping[str, Float[np.ndarray, " segments"]], states: Float[np.ndarray, "states segments"]
-    ) -> Mapped:
-        """Return the image of each segment at the next section crossing; the last axis of all arrays is the segment."""
+        self,
+        parameters: Mapping[str, Float[np.ndarray, " segments"]],
+        states: Float[np.ndarray, "states segments"],
+        *durations: Float[np.ndarray, " segments"],
+    ) -> Any:
+        """Return the end of each segment, at the next section crossing or after the time of the flow.
 
-        def work(part: Index) -> Mapped:
-            p = {name: x[part] for name, x in parameters.items()}
-            return mapped(self._scene, Located(), self._along, p, states[:, part], self._steps, self._most)
+        The last axis of all arrays is the segment.
+        """
+        segments = dict(parameters), states, *durations
+        return over_segments(lambda *own: self._program(*self._given, *own, *self._bounds), *segments)
 
-        return in_calls(work, states.shape[1], self._workers)
+
+def bounds_of(steps: Accuracy, most: float) -> tuple[Accuracy, np.float64]:
+    """Return the accuracy of steps and the limit of their number, in float64."""
+    return Accuracy(*map(np.float64, steps)), np.float64(most)
+
+
+def over_segments(program: Callable[..., R], *segments: Any) -> R:
+    """Return `program(*segments)` in float64, in calls of some segments, which are the last axis of all arrays."""
+    number = jax.tree.leaves(segments)[0].shape[-1]
+    return in_calls(lambda part: program(*jax.tree.map(lambda x: x[..., part], segments)), number, workers())
 
 
 def in_calls(work: Callable[[Index], R], number: int, workers: Sequence[object]) -> R:

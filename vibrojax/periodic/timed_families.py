@@ -10,10 +10,11 @@ from jaxtyping import Float
 
 from vibrojax.periodic.arclength import VANISHED, Stop
 from vibrojax.periodic.families import FamilyContinuation
-from vibrojax.periodic.flow_map import Flow
+from vibrojax.periodic.flow_map import flowed
 from vibrojax.periodic.hopf import larger_orbits, timed_hopf_point
 from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import FAMILY_ACCURACY, Flags, Index, PerLane, Points, Problem
+from vibrojax.periodic.return_map import Segments
 from vibrojax.periodic.segments import Mark, Segment
 from vibrojax.periodic.timed_problem import TimedProblem
 
@@ -156,7 +157,8 @@ def returning_orbit(section: Problem, timed: TimedProblem, u: np.ndarray) -> Orb
 
 def _mesh(problem: Problem, parameters: Mapping[str, PerLane], begin: States, period: PerLane) -> tuple[int, States]:
     """Return the number of parts in which no distance grows by more than `GROWTH`, and the scales of the states."""
-    flow, rows = Flow(problem.scene, problem.along, FAMILY_ACCURACY, problem.most_steps), begin.shape[1]
+    flow = Segments(problem.scene, problem.along, FAMILY_ACCURACY, problem.most_steps, flowed)
+    rows = begin.shape[1]
     parts = LEAST_PARTS
     while True:
         state, growth = begin.T, 1.0

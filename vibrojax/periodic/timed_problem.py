@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.periodic.flow_map import Flow, Flowed
+from vibrojax.periodic.flow_map import flowed
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
 from vibrojax.periodic.problem import (
     FAMILY_ACCURACY,
@@ -25,6 +25,7 @@ from vibrojax.periodic.problem import (
     Problem,
     Unknowns,
 )
+from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import Scene
 
 NO_SWING = 1e-3
@@ -45,8 +46,8 @@ class TimedProblem(Problem):
     parts: int
 
     @cached_property
-    def flow(self) -> Flow:
-        return Flow(self.scene, self.along, FAMILY_ACCURACY, self.most_steps)
+    def flow(self) -> Segments:
+        return Segments(self.scene, self.along, FAMILY_ACCURACY, self.most_steps, flowed)
 
     def cycles(self, u: Unknowns) -> int:
         """Return the number of parts."""
@@ -102,11 +103,7 @@ class TimedProblem(Problem):
         parameters = {name: np.repeat(x, parts) for name, x in self.parameters_at(family, u).items()}
         duration = np.repeat(np.maximum(period, 0.0) / parts, parts)
         images = images_by_lane(self.flow(parameters, states.reshape(-1, self.rows).T, duration), len(u), parts)
-        return self.timed_orbit(family, u, states, period, images)
-
-    def timed_orbit(self, family: Index, u: Unknowns, states: Any, period: PerLane, images: Flowed) -> Points:
-        """Return the points with the equations of the orbits."""
-        lanes, parts, rows = states.shape
+        lanes, rows = len(u), self.rows
         scale, weight = self.scales[family], self.weight
         off = (images.state - np.roll(states, -1, axis=1)) / scale[:, None]
         jacobian = images.jacobian / scale[:, None, :, None]

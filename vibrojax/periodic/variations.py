@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vibrojax.compile.xla import workers
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lazy import jax
 from vibrojax.periodic.margin import Margin
 from vibrojax.periodic.newton import PerLane, shooting_matrix, solve
-from vibrojax.periodic.return_map import MOST_STEPS, ReturnLoop, in_calls, map_state
+from vibrojax.periodic.return_map import MOST_STEPS, ReturnLoop, bounds_of, map_state, over_segments
 from vibrojax.physics.arrays import Array, Lanes
 from vibrojax.scenes import Scene
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
@@ -69,19 +68,16 @@ class Variations(NamedTuple):
         shape = (lanes, cycles, rows, count)
         lane, crossing, column, direction = (index.ravel() for index in np.indices(shape))
         states = begin[lane, crossing].T
-        along = {name: (direction == rows + by.index(name)) + 0.0 if name in by else 0.0 * lane for name in parameters}
         basis = np.arange(rows)[:, None]
-        first, second = (basis == column) + 0.0, (basis == direction) + 0.0
-
-        def work(part: Any) -> Any:
-            p = {name: (parameters[name][lane[part]], along[name][part]) for name in driving.parameters()}
-            accuracy, most_steps = Accuracy(*map(np.float64, DERIVATIVE_ACCURACY)), np.float64(MOST_STEPS)
-            changes = first[:, part], second[:, part]
-            return second_variation(driving, Located(), p, states[:, part], *changes, accuracy, most_steps)
-
+        own = states, (basis == column) + 0.0, (basis == direction) + 0.0
+        p = {
+            name: (parameters[name][lane], (direction == rows + by.index(name)) + 0.0 if name in by else 0.0 * lane)
+            for name in driving.parameters()
+        }
+        bounds = bounds_of(DERIVATIVE_ACCURACY, MOST_STEPS)
         derivatives = jax.tree.map(
             lambda x: np.moveaxis(np.asarray(x), -1, 0).reshape(*shape, *np.shape(x)[:-1]),
-            in_calls(work, len(lane), workers()),
+            over_segments(lambda *part: second_variation(driving, Located(), *part, *bounds), p, *own),
         )
         (_, times, moved, margin, impacts), slopes = derivatives
         jacobian = np.swapaxes(moved[:, :, :, 0], 2, 3)

@@ -16,7 +16,7 @@ from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.equilibria import Equilibrium, equilibrium_near
 from vibrojax.periodic.equilibrium_families import EquilibriumContinuation, EquilibriumProblem
 from vibrojax.periodic.families import FamilyContinuation, in_order
-from vibrojax.periodic.flow_map import Flow
+from vibrojax.periodic.flow_map import flowed
 from vibrojax.periodic.hopf import orbit_at_hopf
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
@@ -137,7 +137,7 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
         unit=unit,
         first=low,
         last=high,
-        most_steps=float(MOST_STEPS),
+        most_steps=MOST_STEPS,
     )
     if spec.cycles == 0:
         return _equilibria(spec, section, None)
@@ -180,7 +180,7 @@ def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.
         own = {name: x[[number]] for name, x in section.parameters.items()}
         guess = np.zeros((len(section.moving), 1)) if sweep.starts is None else _states_at_start(spec, section, own)
         if settle:
-            guess = np.asarray(Flow(scene)(own, guess, np.array([settle])).state)
+            guess = np.asarray(Segments(scene, program=flowed)(own, guess, np.array([settle])).state)
         guesses.append(guess[:, 0])
         equilibrium = equilibrium_near(scene, {name: float(x[0]) for name, x in own.items()}, guess[:, 0])
         known |= {} if equilibrium is None else {number: equilibrium}
@@ -269,11 +269,14 @@ def _first_orbits(spec: FamilySpec, section: Problem, dataset: xr.Dataset) -> li
 
 
 def _with_scales(section: Problem, known: list[Orbits]) -> Problem:
-    """Return the equations with the scales of the first orbits of families, and a limit of the steps."""
+    """Return the equations with the scales of the first orbits of families.
+
+    Orbits may gain impacts along a family, so the first one says nothing about the steps of the others.
+    """
     scales = section.scales.copy()
     for orbits in known:
         scales[orbits.lane] = orbits.scales
-    return replace(section, scales=scales, most_steps=max(orbits.most_steps for orbits in known))
+    return replace(section, scales=scales)
 
 
 @np.errstate(all="ignore")

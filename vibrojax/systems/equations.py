@@ -255,7 +255,7 @@ class SystemEquations(Scene[SystemConstants]):
             distance = jnp.abs(self._flow.surface(c, free, index, t, y) + zero)
             places.open[index], places.near[index] = always, distance <= small
             places.touches[index] = distance <= jnp.maximum(small, c.lifts[index])
-        return tuple(decided(self._flow, c, free, t, y, places).modes)
+        return tuple(decided(self._flow, c, free, t, y, places)[0])
 
     def on_surfaces(self, c: SystemConstants, mode: Values, state: Values) -> Values:
         if not self.events and not self._flow.kinks and self._section_function is None:

@@ -37,26 +37,21 @@ class Places(NamedTuple):
     touches: dict[int, Any]
 
 
-class Decision(NamedTuple):
-    """Modes in which a motion continues, and the margins and pulls of events that led to them."""
-
-    modes: list[Any]
-    margins: Mapping[int, Any]
-    pulls: Mapping[int, Any]
-
-
-def decided(flow: Flow, c: SystemConstants, mode: Values, t: Any, y: States, places: Places) -> Decision:
+def decided(
+    flow: Flow, c: SystemConstants, mode: Values, t: Any, y: States, places: Places
+) -> tuple[list[Any], dict[int, Any], dict[int, Any]]:
     """Return the modes in which a motion continues from a state: at its start, and after every jump.
 
-    `mode`: modes of a motion that is on no surface.
+    `mode`: modes of a motion that is on no surface. The margins and pulls of events that led to the modes follow.
     """
     modes, held = list(mode), [(i, event) for i, event in enumerate(flow.events) if not isinstance(event, Impact)]
-    margins, pulls = {}, {}
+    margins, pulls = dict[int, Any](), dict[int, Any]()
     if held:
         for index, _ in held:
             holds = places.open[index] & places.near[index]
             for other in flow.structure.parallel[index]:  # the first of them may hold
-                holds = holds & (modes[other] != 0) if other < index and not is_impact(flow, other) else holds
+                if other < index and not isinstance(flow.events[other], Impact):
+                    holds = holds & (modes[other] != 0)
             modes[index] = jnp.where(holds, 0.0, mode[index])
         motion = flow.at(c, tuple(modes), t, y)
         for index, event in held:
@@ -76,12 +71,7 @@ def decided(flow: Flow, c: SystemConstants, mode: Values, t: Any, y: States, pla
             rests = places.touches[index] & (jnp.abs(rate) <= c.slow[index]) & pushed
             own = jnp.where(rests, 1.0, jnp.where(places.near[index] & (rate >= -c.slow[index]), -1.0, 0.0))
             modes[index] = jnp.where(places.open[index], own, mode[index])
-    return Decision(modes, margins, pulls)
-
-
-def is_impact(flow: Flow, index: int) -> bool:
-    """Return whether an event is an impact."""
-    return isinstance(flow.events[index], Impact)
+    return modes, margins, pulls
 
 
 def least_push(c: SystemConstants, index: int) -> Any:
@@ -155,18 +145,10 @@ def _where(mask: Any, new: Mapping[str, Any], old: dict[str, Any]) -> dict[str, 
     return old | {name: jnp.where(mask, x, old[name]) for name, x in new.items()}
 
 
-class After(NamedTuple):
-    """Modes and states after an event, and the speed of the last impact."""
-
-    modes: Values
-    y: dict[str, Any]
-    approach: Any
-
-
 def after_events(
     flow: Flow, c: SystemConstants, mode: Values, t: Any, y: dict[str, Any], approach: Any, hits: Mapping[str, Any]
-) -> After:
-    """Return what follows events.
+) -> tuple[Values, dict[str, Any], Any]:
+    """Return modes and states after events, and the speed of the last impact.
 
     **Arguments:** `mode`, `y`, `approach`: modes, states and speed of the last impact before; `hits`: masks of events
     and kinks by name. In each lane at most one of the masks is True.
@@ -211,7 +193,7 @@ def after_events(
             for branch, old in zip(branches, new[len(flow.events) :], strict=True)
         ]
     if not flow.events:
-        return After(tuple(new), y, approach)
+        return tuple(new), y, approach
     modes, opened = _modes_after(flow, c, mode, new, t, before, y, hit, jumped, slow)
     sided = [index for index, kink in enumerate(flow.kinks, len(flow.events)) if kink.sided]
     if sided:  # the event may have changed the side of a switch, or the direction of slip
@@ -220,7 +202,7 @@ def after_events(
         for place in sided:
             new[place] = jnp.where(turned, chosen[place - len(flow.events)], new[place])
         modes, opened = _modes_after(flow, c, mode, new, t, before, y, hit, jumped, slow)
-    return After(modes, onto_surfaces(flow, c, modes, t, y, opened), approach)
+    return modes, onto_surfaces(flow, c, modes, t, y, opened), approach
 
 
 def _modes_after(
@@ -260,7 +242,8 @@ def _modes_after(
     blocked = {}
     for index, event in enumerate(flow.events):
         if not isinstance(event, Impact):
-            holds = [mode[other] == int(is_impact(flow, other)) for other in flow.structure.parallel[index]]
+            parallel = flow.structure.parallel[index]
+            holds = [mode[other] == int(isinstance(flow.events[other], Impact)) for other in parallel]
             blocked[index] = (mode[index] != 0) & reduce(jnp.logical_or, holds) if holds else never
             near[index] = near[index] & ~blocked[index]
     places = Places({index: opened.get(index, never) | hit[index] for index in range(len(hit))}, near, touches)
