@@ -30,8 +30,8 @@ class Fault(NamedTuple):
 FAULTS = r"""
 # signs and laws
 friction drives the bit | scenes/rotary.py | scenes/test_fields.py -k test_field
-- bit = (pull - force)
-+ bit = (pull + force)
+- bit = (pull - slip * force)
++ bit = (pull + slip * force)
 contact pulls the striker in | scenes/rotary.py | scenes/test_fields.py -k test_field
 - on_striker = on_striker - impact
 + on_striker = on_striker + impact
@@ -81,8 +81,8 @@ booleans compared as signed | compile/elementwise.py | kernels/test_kernel.py -k
 - how = of_integers if of_integers in
 + how = "s" + of_integers if of_integers not in ("eq", "ne") else of_integers if of_integers in
 a scan from the end runs forward | compile/control.py | kernels/test_kernel.py -k 'loops'
-- if params["reverse"] else turn
-+ if params["reverse"] and False else turn
+- if equation.params["reverse"]:
++ if equation.params["reverse"] and not length:
 a shift by the width | compile/elementwise.py | kernels/test_kernel.py -k integers
 - return op.select(op.compare("ult", op.x[1], op.constant(bits)), shifted, beyond)
 + return shifted
