@@ -1,6 +1,6 @@
 """Translation rules for loops, branches and function calls."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -130,7 +130,8 @@ def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
         return array_slots(asm, asm.arrays[var], row.aval, block=(number, size))
 
     def turn(number: str) -> None:
-        number = _row_of_turn(asm, number, equation.params)
+        if equation.params["reverse"]:
+            number = asm.let(f"sub i64 {length - 1}, {number}")
         pairs = zip(along, inner.invars[constant + carries :], strict=True)
         rows = [each(asm.register, row_slots(number, var, row)) for var, row in pairs]
         results = write(equation.params["jaxpr"], [*values[:constant], *carried, *rows], set(map(id, carried)))
@@ -141,11 +142,6 @@ def _scan(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
     asm.repeat(length, turn)
     asm.filled |= {asm.arrays[var] for var in kept}
     return [*carried, *(placeholder(var.aval) for var in kept)]
-
-
-def _row_of_turn(asm: Assembly, turn: str, params: Mapping[str, Any]) -> str:
-    """Return the register with the number of the row that an iteration of a scan reads and writes."""
-    return asm.let(f"sub i64 {params['length'] - 1}, {turn}") if params["reverse"] else turn
 
 
 def _branch(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], owned: Collection[int]) -> list[Value]:

@@ -159,7 +159,14 @@ class _Sample(Settings):
         box = _of_states(place.at("box"), self.box, states)
         if not box:
             raise place.at("box").error(f"empty; write one like {examples(states)[0]}")
-        low, high = np.array([_read_side(place.at("box").at(name), side) for name, side in box.items()]).T
+        sides = []
+        for name, side in box.items():
+            here = place.at("box").at(name)
+            sides.append(read_pair(here, side, "a side of a box; write its two ends, like [-0.05, 0.05]", STATE))
+            if not sides[-1][0] < sides[-1][1]:
+                problem = "from {:g} to {:g} is not a side of a box; the first end must be below the second"
+                raise here.error(problem.format(*sides[-1]))
+        low, high = np.array(sides).T
         random = np.random.default_rng(self.seed)
         if self.sample == "sobol":
             sobol = qmc.Sobol(len(box), rng=random)
@@ -186,14 +193,6 @@ class _Plane(Settings):
         if prod(map(len, values)) > AXIS_MAX_VALUES:
             raise here.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
         return dict(zip(axes, map(np.ravel, np.meshgrid(*values, indexing="ij")), strict=True))
-
-
-def _read_side(place: Place, value: object) -> tuple[float, float]:
-    """Return the lower and upper bound of the box for one state."""
-    low, high = read_pair(place, value, "a side of a box; write its two ends, like [-0.05, 0.05]", STATE)
-    if not low < high:
-        raise place.error(f"from {low:g} to {high:g} is not a side of a box; the first end must be below the second")
-    return low, high
 
 
 def _of_states(place: Place, table: dict[str, object], states: tuple[str, ...]) -> dict[str, object]:

@@ -238,20 +238,16 @@ class PulseRecorder(Records):
         # An incomplete pulse period at either end would bias the means. Without pulses the whole observation is used.
         alone = jnp.zeros_like(number, bool) if _driven(scene).has_pulses else number == 0
         sums = {name: jnp.where(alone, carry.ledger.sums[name], whole[name]) for name in whole}
+        last: Features = {}
+        if len(carry.last):  # from which the error is estimated
+            last = in_order(carry.last, _kept(scene)) | _scales(_driven(scene), c, scene.return_states)
+            last |= {"load": _load(_driven(scene), c, carry.tightest)}
+            del last[TIME]
         return {
-            **(self._last_pulses(_driven(scene), c, carry) if len(carry.last) else {}),
+            **last,
             **_rates(_driven(scene), c, sums, sums["time"], pulses, carry.deepest),
             "pulses": pulses,
             "yields": sums["yields"],
-        }
-
-    def _last_pulses(self, scene: HasRock[Any], c: Any, carry: Pulses) -> Features:
-        """Return the features from which the error is estimated."""
-        rows = in_order(carry.last, _kept(scene))
-        return {
-            **{name: row for name, row in rows.items() if name != TIME},
-            **_scales(scene, c, scene.return_states),
-            "load": _load(scene, c, carry.tightest),
         }
 
 

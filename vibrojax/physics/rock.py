@@ -1,13 +1,13 @@
 """The visco-elasto-plastic rock under the bit (source, eqs. 6.1 to 6.3), and the rocks of Table 4.5 of the source.
 
-The bottom of the hole acts as a ratchet: it only moves downwards.
+The bottom of the hole acts as a ratchet: x4 only grows, with x3 while the rock yields.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from vibrojax.lazy import jnp
-from vibrojax.physics.arrays import Real, Value
+from vibrojax.physics.arrays import Value
 from vibrojax.physics.parameters import not_negative, positive, table
 
 ROCK = table(
@@ -47,32 +47,11 @@ def damping(m1: Value, k3: Value, zeta: Value) -> Any:
     return 2 * zeta * jnp.sqrt(m1 * k3)
 
 
-class Part(NamedTuple):
-    """Indicators of the active branch of eq. 6.2 of the source.
+def resistance(compression: Value, k3: Value, threshold: Value, rock: Value) -> Any:
+    """Return the resistance N [N] of the rock in the mode `rock` (source, eq. 6.2): 0 is elastic, 1 is yielding.
 
-    `elastic` is 1 while the rock is elastic, `yielding` is 1 while the rock yields. Both are 0 off the rock.
+    It is k3 (x3 - x4) while elastic, D while yielding, and 0 in any other mode. `compression`: x3 - x4 [m]; Taylor
+    series are accepted.
     """
-
-    elastic: Value
-    yielding: Value
-
-
-def part(rock: Value) -> Part:
-    """Return the active branch in the mode `rock`: 0 is elastic, 1 is yielding, any other value is neither."""
-    return Part(jnp.where(rock == 0, 1.0, 0.0), jnp.where(rock == 1, 1.0, 0.0))
-
-
-def resistance(compression: Any, k3: Value, threshold: Value, holds: Part | None = None) -> Any:
-    """Return the resistance N = clip(k3 (x3 - x4), 0, D) [N] (source, eq. 6.2) for `compression` x3 - x4 [m].
-
-    If `holds` is given, its branch is used for any compression. Taylor series are then accepted in addition to arrays.
-    """
-    if holds is None:
-        elastic = (compression > 0) & (k3 * compression < threshold)
-        holds = Part(jnp.where(elastic, 1.0, 0.0), jnp.where((compression > 0) & ~elastic, 1.0, 0.0))
-    return compression * (holds.elastic * k3) + holds.yielding * threshold
-
-
-def ratchet(x3: Real, x4: Real, k3: Real, threshold: Real) -> Any:
-    """Return the depth x4 [m] of the hole after the bit was at `x3`: the running maximum of x3 - D/k3 (eq. 6.3)."""
-    return jnp.maximum(x4, x3 - threshold / k3)
+    elastic, yielding = jnp.where(rock == 0, 1.0, 0.0), jnp.where(rock == 1, 1.0, 0.0)
+    return compression * (elastic * k3) + yielding * threshold

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from vibrojax.lazy import jnp
-from vibrojax.physics import rock as rocks
+from vibrojax.physics.rock import damping
 from vibrojax.scenes.capabilities import HasRock
 from vibrojax.scenes.declared import Guard, Mode, State, Values
 from vibrojax.scenes.scene import ROUNDINGS
@@ -51,7 +51,7 @@ def rock_constants(p: Mapping[str, Any], g: Any) -> RockConstants:
         inverse_m1=1 / m1,
         k3=k3,
         threshold=threshold,
-        c3=rocks.damping(m1, k3, p["zeta"]),
+        c3=damping(m1, k3, p["zeta"]),
         yield_compression=threshold / k3,
         mobility=1 / jnp.sqrt(k3 * m1),
         g=g,
@@ -75,10 +75,9 @@ class OnRock(HasRock[Any]):
 
         It accepts arrays and Taylor series.
         """
-        which, compression, v3 = self._rock_motion(mode, state)
+        which, _, v3 = self._rock_motion(mode, state)
         yielding, moves = _is(which, 1), jnp.where(which == REST, 0.0, 1.0)
-        resistance = rocks.resistance(compression, c.rock.k3, c.rock.threshold, rocks.part(which))
-        bit = (applied - resistance - v3 * c.rock.c3) * (moves * c.rock.inverse_m1)
+        bit = (applied - self.rock_force(c, mode, state) - v3 * c.rock.c3) * (moves * c.rock.inverse_m1)
         return (v3 * (1.0 - yielding), bit, v3 * yielding)
 
     def rock_guards(self) -> tuple[Guard, ...]:

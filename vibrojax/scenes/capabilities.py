@@ -170,7 +170,7 @@ class HasRock(Scene[C]):
     def rock_force(self, c: C, mode: Values, state: Values) -> Any:
         """Return the resistance N of the rock [N]."""
         which, compression = mode[self.mode_place("rock")], state[self.place("compression")]
-        return rock.resistance(compression, self.stiffness(c), self.threshold(c), rock.part(which))
+        return rock.resistance(compression, self.stiffness(c), self.threshold(c), which)
 
 
 class Driven(Scene[C]):

@@ -162,13 +162,4 @@ class Penetration(OnRock, Driven[Any]):
         return rates
 
 
-def mean_force(p: Mapping[str, Any], shape: str) -> Any:
-    """Return the mean force P [N] of pulses over one period: A w f for rectangles, (2/pi) A w f for half-sines.
-
-    `p` has the force amplitude A, the pulse width w and the pulse frequency f.
-    """
-    mean = p["force"] * p["pulse_width"] * p["frequency"]
-    return mean * (2 / pi) if shape == "half-sine" else mean
-
-
 SCENES = (Penetration,)

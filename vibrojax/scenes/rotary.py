@@ -56,35 +56,6 @@ class DrillConstants(NamedTuple):
     law: Mapping[str, Any]
 
 
-def drill_constants(p: Mapping[str, Any], law: FrictionLaw) -> DrillConstants:
-    """Return the constants from the values `p` of the bit and striker parameters and of the law's parameters.
-
-    The bit and striker parameters are [vibrojax.physics.parameters.BIT_AND_STRIKER][].
-    """
-    m2, k2 = striker(p)
-    own = {name: p[name] for name in law.parameters}
-    weight = p["m1"] * p["g"]
-    limit, impedance = law.on_weight(0.0, own) * weight, jnp.sqrt(p["k1"] * p["m1"])
-    return DrillConstants(
-        m1=p["m1"],
-        m2=m2,
-        k1=p["k1"],
-        k2=k2,
-        c2=p["c2"],
-        inverse_m1=1 / p["m1"],
-        inverse_m2=1 / m2,
-        period=jnp.sqrt(p["m1"] / p["k1"]),
-        v=p["v"],
-        weight=weight,
-        stick_limit=limit,
-        stick_gain=law.on_impact(0.0, own) + 0 * weight,
-        impedance=impedance,
-        # The drive speed plus the speed that the release of the stick limit gives to the bit on its spring.
-        speed_scale=p["v"] + (limit + 1e-6 * weight) / impedance,
-        law=own,
-    )
-
-
 def speed_noise(c: DrillConstants) -> Any:
     """Return the speed [m/s] that counts as zero: a small multiple of the rounding error of a typical speed."""
     return ROUNDINGS * jnp.finfo(c.v.dtype).eps * c.speed_scale
@@ -169,7 +140,29 @@ class Rotary(HasFriction[Any]):
         return {**self.own_parameters, **self.friction.parameters}
 
     def constants(self, p: Mapping[str, Any]) -> Any:
-        return Constants(drill_constants(p, self.friction))
+        m2, k2 = striker(p)
+        own = {name: p[name] for name in self.friction.parameters}
+        weight = p["m1"] * p["g"]
+        limit, impedance = self.friction.on_weight(0.0, own) * weight, jnp.sqrt(p["k1"] * p["m1"])
+        drill = DrillConstants(
+            m1=p["m1"],
+            m2=m2,
+            k1=p["k1"],
+            k2=k2,
+            c2=p["c2"],
+            inverse_m1=1 / p["m1"],
+            inverse_m2=1 / m2,
+            period=jnp.sqrt(p["m1"] / p["k1"]),
+            v=p["v"],
+            weight=weight,
+            stick_limit=limit,
+            stick_gain=self.friction.on_impact(0.0, own) + 0 * weight,
+            impedance=impedance,
+            # The drive speed plus the speed that the release of the stick limit gives to the bit on its spring.
+            speed_scale=p["v"] + (limit + 1e-6 * weight) / impedance,
+            law=own,
+        )
+        return Constants(drill)
 
     def rate(self, c: Any, mode: Values) -> Any:
         return self.flight_rate(c)
