@@ -103,7 +103,6 @@ TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for
 def test_refused_before_any_work():
     for scene, settings, message in (
         ("vibro-impact", {"duration": 1e12}, TOO_LONG),
-        ("rotary", {"duration": 1e12, "method": "diffrax"}, TOO_LONG),
         ("rotary", {"duration": 20.0, "step": 1e-12}, TOO_LONG + ", a longer step or a greater error"),
         (
             "rotary",
