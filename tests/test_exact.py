@@ -20,12 +20,6 @@ SCENES = {
 """A point of each scene; both drilling scenes yield, lift off and land at theirs."""
 
 
-# The reference by itself
-
-
-# The package against the reference
-
-
 def differences(motion, dataset):
     times = dataset.time.values
     return {
@@ -97,8 +91,6 @@ def test_sweep_of_coupled_drilling():
     for name in ("period", "impact_velocity", "rate_of_penetration", "mean_force", "stick_fraction", "drive_power"):
         np.testing.assert_allclose(lane[name], expected[name], rtol=1e-7, atol=1e-9, err_msg=name)
 
-
-# Measures of the time loop
 
 SETTLE, OBSERVE = 10.0, 4.0
 ERROR = 1e-5  # so small that the periods of sweep and simulation agree to 1e-9
