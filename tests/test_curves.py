@@ -169,16 +169,3 @@ def test_hopf_points_follow_linear_stability_of_sliding():
     assert len(rates) > 10 and np.abs(rates).max() < 1e-8
     exact = brentq(lambda gamma: eigenvalue(gamma, 0.45, v).real, 0.8, high, xtol=1e-15)
     assert ds.crossing_gamma.values == pytest.approx([exact], abs=1e-10)
-
-
-@pytest.mark.long
-def test_period_doubling_cascade_has_feigenbaum_ratio():
-    settled = {"settle": 200.0, "observe": 40.0, "stop": 0.0, "progress": False}
-    cascade = vj.follow(IMPACT_OSCILLATOR, along="w", at=2.6, span=(2.55, 2.85), cycles=8, **settled)
-    doublings = np.flatnonzero(cascade.special_kind.values == SPECIAL_KINDS.index("period-doubling"))
-    ds = vj.curves(cascade, by="r", span=(0.65, 0.75), special=doublings[1:], at={"r": 0.65}, progress=False)
-    assert len(doublings) == 4 and ds.crossing_curve.values.tolist() == [0, 1, 2]
-    for ends in (cascade.special_value.values[doublings[1:]], ds.crossing_w.values):
-        first, second = np.diff(ends)
-        assert first / second == pytest.approx(4.669, rel=0.02)
-    assert ds.sizes["codim2"] == 0

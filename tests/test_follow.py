@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact import run
-from exact.measures import sections
+from exact import orbits
 from refusals import refusal
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -38,9 +37,6 @@ def branch_of(family, number):
     return family.isel(point=family.branch.values == number)
 
 
-# Against references
-
-
 @pytest.mark.parametrize(("case", "kind"), [(ENDS[0], "torus"), (ENDS[1], "fold")])
 def test_ends_of_families(case, kind):
     """The reference is accurate to about 1e-8."""
@@ -56,12 +52,6 @@ def test_ends_of_families(case, kind):
     assert abs(family.multiplier_abs.values[index, 0] - exact) < 1e-5
 
 
-def return_map(parameters, section):
-    start = [section[0], 0.0, section[1], section[2]]
-    motion = run("vibro-impact", start=start, observe=1.0, **parameters)
-    return motion.at(sections(motion)[:1])[0][[0, 2, 3]]
-
-
 DOUBLING = 0.392500037
 
 
@@ -71,24 +61,17 @@ def test_orbits_match_exact_motion(family, gamma):
     point = branch.isel(point=np.abs(branch.gamma.values - gamma).argmin())
     parameters = {"beta": 0.4, "gamma": float(point.gamma)}
     section = np.array([float(point[name]) for name in STATES])
-    np.testing.assert_allclose(return_map(parameters, section), section, atol=1e-9)
-    columns = []
-    for k, size in enumerate((0.05, 0.05, 1.0)):
-        step = 1e-6 * size * np.eye(3)[k]
-        columns.append(
-            (return_map(parameters, section + step) - return_map(parameters, section - step)) / (2 * step[k])
-        )
-    values = np.linalg.eigvals(np.array(columns).T)
-    exact = np.sort(np.abs(values))[::-1]
+    period = float(point.period)
+    _, states = orbits.returns("vibro-impact", parameters, section, 1.01 * period)
+    np.testing.assert_allclose(states[0], section, atol=1e-9)
+    values = orbits.multipliers("vibro-impact", parameters, section, period)
+    exact = np.abs(values)
     np.testing.assert_allclose(point.multiplier_abs.values, exact, atol=1e-6 * max(1, exact[0]))
     if gamma == DOUBLING:
         assert specials(family, "period-doubling") == pytest.approx([gamma], abs=1e-8)
         assert abs(values + 1).min() < 1e-5
     else:
         assert (point.stable == 1) == (exact[0] < 1)
-
-
-# Theory of special points
 
 
 def test_stability_changes_only_at_special_points(family):
@@ -157,16 +140,6 @@ def test_branch_that_doubles_at_both_ends_is_listed_once():
     assert ends == set(doublings.tolist()) and end in ends
 
 
-@pytest.mark.long
-def test_continuation_of_other_scenes():
-    rotary = vj.follow("rotary", along="v", at=1.0, span=(0.6, 1.4), beta=0.3, gamma=0.5, progress=False)
-    assert "impacts" not in rotary and (rotary.stable == 1).all()
-    soft = {"beta": 0.3, "gamma": 0.7, "threshold": 2e4, "start": "stuck", "cycles": 1}
-    coupled = vj.follow("coupled-drilling", along="zeta", at=1.5, span=(1.2, 1.8), progress=False, **soft)
-    assert coupled.sizes["multiplier"] == 5 and (coupled.rate_of_penetration > 0).all()
-    assert set(coupled.special_note.values.tolist()) >= {"the first value is reached", "the last value is reached"}
-
-
 def test_lanes_near_orbits_stay_only_if_orbits_are_stable():
     """The sweep knows nothing of multipliers or special points."""
     fixed = {"beta": 0.42898650763, "v": 0.98543234207, "delta": -0.005}
@@ -185,9 +158,6 @@ def test_lanes_near_orbits_stay_only_if_orbits_are_stable():
     stays &= (lanes.cycles.values == 1) & (lanes.impacts.values == hyperbolic.impacts.values)
     np.testing.assert_array_equal(stays, hyperbolic.stable.values == 1)
     assert stays.any()
-
-
-# Refused input
 
 
 def test_wrong_input_is_refused():

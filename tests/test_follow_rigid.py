@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.optimize import brentq, fsolve
+from scipy.optimize import brentq
 from systems import (
     BALL,
     IMPACT_OSCILLATOR,
@@ -103,23 +103,22 @@ def test_rotations_of_a_pendulum_whose_angle_jumps_back():
     assert far.sizes["point"] > 70
 
 
-@pytest.mark.parametrize(("phase", "last"), [(0.0, 0.005), pytest.param(1.0, 0.008, marks=pytest.mark.long)])
-def test_fold_and_period_doubling_of_ball_on_shaken_table(phase, last):
-    """At the fold the impact has the phase 0, that of the section if `phase` is 0. Upwards, impacts appear one by one.
+def test_fold_and_period_doubling_of_ball_on_shaken_table():
+    """At the fold the impact has the phase 0, that of the section. Upwards, impacts appear one by one.
 
     After each graze the orbits double and turn back once, so near the branch before that a step could lead there.
     """
     w, g, R, a = 60.0, 9.81, 0.4, 0.0045
     fold, doubles = ball_appears(R) * g / w**2, ball_doubles(R) * g / w**2
-    table = vj.Impact("table", lambda t, y, p: y["x"] - p["a"] * cos(w * t + phase - np.pi / 2), "v", R)
+    table = vj.Impact("table", lambda t, y, p: y["x"] - p["a"] * cos(w * t - np.pi / 2), "v", R)
     ball = mass(lambda t, y, p: -g, table, parameters={"a": a}, period=2 * np.pi / w)
     above, T = np.arccos(fold / a), 2 * np.pi / w
-    remaining, speed = T - (above - phase) % (2 * np.pi) / w, g * T / 2
+    remaining, speed = T - above / w, g * T / 2
     start = [a * np.sin(above) + speed * remaining - g / 2 * remaining**2, speed - g * remaining]
-    family = vj.follow(ball, along="a", at=a, span=(0.002, last), start=start, cycles=1, progress=False)
+    family = vj.follow(ball, along="a", at=a, span=(0.002, 0.005), start=start, cycles=1, progress=False)
     assert special_values(family, "fold")[-1] == pytest.approx(fold, rel=1e-8)
     assert special_values(family, "period-doubling")[-1] == pytest.approx(doubles, rel=1e-8)
-    assert (np.diff(family.impacts) <= 0).all() and family.impacts.max() >= 1 + 3 * phase
+    assert (np.diff(family.impacts) <= 0).all() and family.impacts.max() >= 1
     assert len(special_values(family, "section")) <= 3
 
 
@@ -151,8 +150,6 @@ def test_graze_is_the_same_from_both_sides():
     ("d", "at", "start", "value"),
     [
         (0.341, 0.85, [0.1, 0.3], 0.865514886644253),
-        (0.341, 0.97, [0.1, 0.3], 0.865514886644253),
-        (0.34, 0.66, [0.0, 0.0], 0.685333635132339),
         (0.34, 0.69, [0.0, 0.0], 0.685333635132339),  # steps become short
         (0.34, 0.74, [0.0, 0.0], 0.685333635132339),  # rounding errors lead past the point
     ],
@@ -219,42 +216,3 @@ def test_no_step_leads_over_a_graze_and_a_fold():
     [fold] = [x for x in special_values(family, "fold") if x < 0.6]
     assert special_values(family, "grazing").min() < fold
     assert family.multiplier_abs[np.abs(family.d.values - fold).argmin(), 0] == pytest.approx(1.0, abs=1e-4)
-
-
-def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():
-    """A family that begins with one impact in two periods leads to a doubling in closed form, and does not go back."""
-    family = vj.follow(IMPACT_OSCILLATOR, along="r", at=0.7, span=(0.0, 1.0), a=0.5, progress=False, cycles=2)
-
-    def product(r):
-        return np.prod(1 + oscillator_orbits(0.5, r, **OSCILLATOR)[-1].multipliers).real
-
-    doubles = brentq(product, 0.6, 0.62, xtol=1e-15)
-    assert special_values(family, "period-doubling") == pytest.approx([doubles], abs=1e-10)
-    assert len(special_values(family, "fold")) == len(special_values(family, "grazing")) == 1
-    assert special_values(family, "end").tolist() == [1.0]
-
-
-def test_family_goes_on_where_an_impact_passes_the_section():
-    """At r = 0.928 the mass leaves the right wall as the period begins. The symmetric orbit is known in closed form."""
-    family = vj.follow(WALLS, along="r", at=0.8, span=(0.8, 0.95), start=[0.0, 0.0], d=0.5, cycles=1, progress=False)
-    last = family.isel(point=int(family.r.values.argmax()))
-    (passed,), X, decay, half = (
-        special_values(family, "section"),
-        1 / (0.19 + 0.054j),
-        -0.03 + 1j * 0.9991**0.5,
-        np.pi / 0.9,
-    )
-
-    def misses(unknown):
-        """From the right wall, half a period leads to the left one, with the speed of the impact before."""
-        force, speed = X * np.exp(1j * unknown[0]), unknown[1]
-        free = np.linalg.solve(
-            [[1.0, 0.0], [decay.real, -decay.imag]], [0.5 - force.real, -r * speed + 0.9 * force.imag]
-        )
-        free = (free[0] + 1j * free[1]) * np.exp(decay * half)
-        return free.real - force.real + 0.5, (decay * free).real + 0.9 * force.imag + speed
-
-    for r, found in ((0.8, family.isel(point=int(family.r.values.argmin()))), (0.95, last)):
-        [_, speed], _, end, _ = fsolve(misses, [0.0, float(found.impact_velocity)], xtol=1e-13, full_output=True)
-        assert end == 1 and float(found.r) == r and float(found.impact_velocity) == pytest.approx(speed, rel=1e-9)
-    assert 0.92 < passed < 0.93 and float(last.orbit_v) > 0
