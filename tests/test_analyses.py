@@ -130,11 +130,3 @@ def test_object_that_is_not_an_analysis_is_refused(wrong):
         vj.analyse("regime-map", wrong)
     with pytest.raises(vj.InputError, match="Bare has no method run"):
         vj.analyse("regime-map", type("Bare", (vj.Analysis,), {"kind": "bare"})())
-
-
-def test_datasets_of_earlier_versions_receive_their_kind():
-    folder = Path(__file__).parent / "data" / "versions"
-    kinds = {"regimes": "sweep", "points": "sweep", "rates": "sweep", "law": "fit"}
-    for path in sorted(folder.glob("*/*.nc")):
-        if path.stem in kinds:
-            assert vj.open_dataset(path).attrs["kind"] == kinds[path.stem], path

@@ -159,19 +159,6 @@ def test_float32():
                 np.testing.assert_allclose(single[name][index], expected[name], rtol=3e-6, err_msg=f"{name} {index}")
 
 
-def test_weakly_driven_lanes_finish():
-    """With a drive at rest and almost no friction, the start sets the scale, and the steps do not run out."""
-    grid = {"v": [0.0, 1e-6], "mu": [0.0, 1e-6], "c2": [0.0, 250.0], "g": [0.0, 9.81]}
-    starts = ["drive", "stuck", [0.01, 0.0, 0.02, 0.0], [0.0, -1.0, 0.0, 2.0]]
-    run = {"settle": 6.0, "observe": 4.0}
-    sweep = {"scene": "vibro-impact", "grid": grid, "starts": starts, "run": run}
-    dataset = vj.run_sweep(sweep, progress=False)
-    assert np.all(dataset.status == 0)
-    assert json.loads(dataset.solver)["steps"] < 5_000 * dataset.status.size
-
-
-# Joining chunks region by region
-
 JOINED = {
     "scene": "vibro-impact",
     "parameters": {"delta": 0.0},
