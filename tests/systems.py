@@ -178,9 +178,6 @@ def lorenz(section):
     )
 
 
-# Closed forms for a rigid stop
-
-
 class Rigid(NamedTuple):
     """An orbit of one impact, with the force's `phase` [rad] and the mass's `speed` [m/s] there.
 

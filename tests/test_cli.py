@@ -177,8 +177,6 @@ def test_decimal_comma_in_a_file_is_explained(tmp_path, capsys):
     assert "v = 1,2: write a decimal point, v = 1.2, or a list, v = [1, 2]" in error and error.count("\n") == 1
 
 
-# Output options
-
 SWEEP = """scene = "penetration"
 [grid]
 force = [10e3, 300e3]

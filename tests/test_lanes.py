@@ -4,21 +4,17 @@ import json
 import os
 import subprocess
 import sys
-from math import prod
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.compile import xla
 from vibrojax.compile.native import kernels
 from vibrojax.io.dataset import open_dataset
-from vibrojax.io.writers import Regions
 from vibrojax.maps import dataset as joining
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep, run_to_file
@@ -190,20 +186,6 @@ with file_target(Path(sys.argv[1])) as target:
     join(sweep, run, read, target, time.monotonic())
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """  # noqa: E501
-
-
-@settings(deadline=None)
-@given(st.lists(st.integers(1, 6), min_size=1, max_size=4), st.integers(1, 90))
-def test_regions_are_consecutive_whole_chunks(shape, limit):
-    regions = Regions(tuple(shape), limit)
-    values, position = np.full(shape, -1), 0
-    for region in regions:
-        assert region.first == position and 0 < region.end - region.first <= limit
-        position = region.end
-        assert all(part.start % size == 0 for part, size in zip(region.box, regions.chunk, strict=True))
-        assert all(part.stop - part.start <= size for part, size in zip(region.box, regions.chunk, strict=True))
-        values[region.box] = np.arange(region.first, region.end).reshape(region.shape)
-    np.testing.assert_array_equal(values.ravel(), np.arange(prod(shape)))
 
 
 @pytest.mark.parametrize(

@@ -75,9 +75,6 @@ def test_wrong_input_is_refused(changes, line):
     assert line in refusal(read_sweep, {key: value for key, value in tables.items() if key not in dropped})
 
 
-# files
-
-
 @pytest.mark.parametrize(
     ("content", "line"),
     [

@@ -44,9 +44,10 @@ over d. A shallower impact may be missed."""
 
 def bound_of(changes: dict, bound: float, precision: str = "float64") -> float:
     """Return the relative deviation up to which a lane counts as exact, also one that grazes."""
-    if not 0 < abs(changes.get("delta", 1.0) - GRAZED) < 1e-5:
+    depth = abs(changes.get("delta", 1.0) - GRAZED)
+    if depth > 1e-5:
         return bound
-    share = SAME_PLACE[precision] / 2 / abs(changes["delta"] - GRAZED)
+    share = SAME_PLACE[precision] / 2 / max(depth, 1e-300)
     return max(bound, share) if share < 1 else math.inf
 
 

@@ -181,22 +181,6 @@ def test_subnormal_numbers_are_kept():
         np.testing.assert_array_equal(result, correct)
 
 
-def test_row_is_replaced(width):
-    """A row is replaced if its number exists (negative ones count from the end); the old rows do not change."""
-
-    def function(rows, which, new):
-        replaced = put(rows, which, new, "drop")
-        return replaced, rows * 1.0
-
-    actual, before = run_kernel(function, ROWS, WHICH, X)
-    expected = ROWS.copy()
-    for lane, row in enumerate(WHICH):
-        if row < len(ROWS):
-            expected[row, lane] = X[lane]
-    np.testing.assert_array_equal(actual, expected)
-    np.testing.assert_array_equal(before, ROWS)
-
-
 def test_rows_are_replaced_in_a_loop(width):
     """Rows are replaced in place, unless something else needs them."""
 
