@@ -109,12 +109,6 @@ def test_fold_follows_closed_form():
     assert len(vj.picture(ds).axes) == 1
 
 
-def test_special_point_of_a_branch_that_was_dropped_is_refused():
-    part = family("fold", *fold_point(FOLDING)).assign(special_branch=("special", [1]))
-    with pytest.raises(vj.InputError, match="the point of 0 is not in the family; give the whole family"):
-        vj.curves(part, by="w", span=(1.05, 1.3), progress=False)
-
-
 def fold_point(w):
     """Return amplitude, frequency and section state at which two orbits meet."""
     a = fold_amplitude(w)

@@ -15,9 +15,6 @@ from vibrojax.measures.repeats import Seen
 from vibrojax.measures.section import Passed, Settling
 from vibrojax.periodic import lane_stages
 from vibrojax.periodic.lane_stages import lane_run
-from vibrojax.periodic.orbits import Orbits
-from vibrojax.periodic.settled_on_orbit import Approach, will_reach
-from vibrojax.scenes import SCENES
 
 LANES, ERROR = 128, 1e-4
 VARIABLES = ("period", "bit_amplitude", "striker_amplitude", "drive_power", "stick_fraction", "settling_time")
@@ -160,45 +157,6 @@ def test_no_search_where_it_costs_more_than_it_saves():
     assert rule_of(sweep(lanes=8)) is None and rule_of(sweep(lanes=8, settle=1e6)) is not None
     pulses = {"scene": "penetration", "grid": {"frequency": [40.0, 50.0]}, "run": {"settle": 1e7}}
     assert rule_of(pulses) is None
-
-
-BASIS = np.array([[1.0, 0.2, -0.4], [0.3, 1.0, 0.5], [-0.2, 0.1, 1.0]])
-
-
-def reaches_orbit(multipliers, away, repeats=100, bend=0.0, error=1e-4):
-    """Return whether a lane is predicted to reach the orbit at zero.
-
-    Its last returns follow a map with these `multipliers` and a quadratic term of size `bend`.
-    """
-    derivative = BASIS @ np.diag(multipliers) @ np.linalg.inv(BASIS)
-    returns = [away * np.array([0.4, -1.0, 0.7])]
-    for _ in range(7):
-        returns.append(derivative @ returns[-1] + bend * returns[-1] ** 2)
-    ones = np.ones(1)
-    approach = Approach(
-        np.arange(1), np.ones((1, 3)), np.stack(returns[::-1])[..., None], np.zeros((1, 1, 3)), ones * repeats
-    )
-    none, single = np.zeros((1, 1, 3)), np.ones((1, 1))
-    orbit = Orbits(
-        SCENES["vibro-impact"](), {}, none, np.ones((1, 3)), single, 0 * ones, derivative[None], none,
-        0 * ones, ones, ones, ones, single, np.arange(1),
-    )  # fmt: skip
-    return will_reach(approach, orbit, 1e-7, error)[0]
-
-
-@pytest.mark.parametrize(
-    "multipliers, away, more, ends",
-    [
-        ((0.8, 0.3, 0.05), 1e-2, {}, True),
-        ((-0.8, 0.3, 0.05), 2.2e-2, {}, False),
-        ((0.8, 0.3, 0.05), 1e-1, {}, False),
-        ((1.0, 0.3, 0.05), 1e-6, {}, False),
-        ((1.01, 0.3, 0.05), 1e-9, {}, False),
-        ((0.8, 0.3, 0.05), 5e-3, {"bend": 200.0}, False),
-    ],
-)
-def test_predicted_end_on_orbit(multipliers, away, more, ends):
-    assert reaches_orbit(multipliers, away, **more) == ends
 
 
 @pytest.mark.usefixtures("allow_any_cost")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from exact import measure, run
 from exact.measures import sections
+from systems import events_of
 
 import vibrojax as vj
 from vibrojax.measures.motion import _trend
@@ -168,8 +169,7 @@ def test_settling_time(features, name="gap"):
     motion = vj.simulate(
         scene, **values, start=start, duration=SETTLE + OBSERVE, sampling=1e-4, error=ERROR, progress=False
     )
-    kinds = motion.event_kind.attrs["flag_meanings"].split()
-    crossings = motion.event_time.values[motion.event_kind.values == kinds.index("section")]
+    crossings = events_of(motion, "section")
     t = motion.time.values
     x1, x2, v2 = (np.interp(crossings, t, motion[y].values) for y in ("x1", "x2", "v2"))
     last = 0.0

@@ -15,6 +15,7 @@ from systems import (
     oscillator_doubles,
     oscillator_grazes,
     oscillator_orbits,
+    special_values,
 )
 
 import vibrojax as vj
@@ -22,13 +23,6 @@ import vibrojax as vj
 OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 R = 0.7
 GRAZE = oscillator_grazes(**OSCILLATOR)
-
-
-def special_values(family, kind, branch=0):
-    """Return the parameter values of the special points of a kind on a branch."""
-    flag = family.special_kind.attrs["flag_meanings"].split().index(kind)
-    chosen = (family.special_kind.values == flag) & (family.special_branch.values == branch)
-    return family.special_value.values[chosen]
 
 
 def test_branch_continues_past_graze_where_impact_vanishes():

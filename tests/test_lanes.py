@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from refusals import refusal
+from systems import events_of
 
 import vibrojax as vj
 from vibrojax.compile import xla
@@ -112,12 +113,6 @@ def test_second_sweep_compiles_nothing(tiled):
     assert list(kernels) == compiled
 
 
-def section_times(point, duration):
-    motion = vj.simulate("vibro-impact", **point, duration=duration, sampling=0.1, progress=False)
-    kinds = motion.event_kind.attrs["flag_meanings"].split()
-    return motion.event_time.values[motion.event_kind.values == kinds.index("section")]
-
-
 def test_keep_returns():
     """The newest return is last. Each has the time of a section crossing of `simulate`; missing ones are NaN."""
     cases = [PERIODIC[0], PERIODIC[1], *[case for case in CASES if case["expected"]["regime"] == "equilibrium"]]
@@ -125,7 +120,8 @@ def test_keep_returns():
     dataset = vj.run_sweep(sweep(cases, settle=2.0, observe=3.0, keep_returns=keep), progress=False)
     assert dataset.sizes["return_index"] == keep
     for index, case in enumerate(cases):
-        times = section_times(case["point"], 5.0)
+        motion = vj.simulate("vibro-impact", **case["point"], duration=5.0, sampling=0.1, progress=False)
+        times = events_of(motion, "section")
         times = times[times > 2.0]
         kept = dataset.return_time[index].values
         expected = np.concatenate([np.full(max(keep - len(times), 0), np.nan), times[-keep:]])

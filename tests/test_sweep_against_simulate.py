@@ -8,7 +8,6 @@ import xarray as xr
 from systems import mass
 
 import vibrojax as vj
-from vibrojax.lanes.record import window
 from vibrojax.studies.frequencies import frequency_part
 from vibrojax.studies.trajectory import feature_lines
 
@@ -44,14 +43,6 @@ def test_motion_is_measured_and_labelled_like_lane_of_sweep(scene):
         assert motion[name].dtype == lane[name].dtype
         atol = 1e-7 if name in ROUNDING else 0.0
         np.testing.assert_allclose(motion[name], lane[name], rtol=1e-7, atol=atol, err_msg=name)
-
-
-def test_default_observation_is_that_of_sweeps():
-    drill = vj.SCENES["vibro-impact"]()
-    assert window(drill, 48.0) == (40.0, 8.0)
-    assert window(drill, 20.0) == (12.0, 8.0)
-    assert window(drill, 1.0) == (0.5, 0.5)
-    assert window(drill, 120.0) == (100.0, 20.0)
 
 
 def test_undecided_motion_names_a_sufficient_duration():

@@ -132,7 +132,6 @@ def test_mistake_in_system_gives_one_line(message):
 
 
 def test_start_beyond_stop_fails_with_reason():
-    """A restitution above 1 fails too."""
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert names_of(ds) == ["failed"] * 2 and names_of(ds, "reason") == ["beyond-a-stop"] * 2
     assert "Lanes failed: beyond-a-stop" in vj.picture(ds).get_supxlabel()

@@ -61,7 +61,6 @@ FUNCTIONS = {
 @pytest.mark.parametrize("dtype", FLOATS)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions(name, dtype):
-    """Functions agree to twenty roundings."""
     assert_matches_xla(FUNCTIONS[name], X.astype(dtype), Y.astype(dtype), roundings=20)
 
 
@@ -152,7 +151,6 @@ def test_conversion_of_integers(dtype):
 
 
 def test_signs_of_zeros(width):
-    """+0 is the maximum of +0 and -0."""
     zeros = np.array([0.0, -0.0, 0.0, -0.0, 1.0, np.nan]), np.array([-0.0, 0.0, 0.0, -0.0, np.nan, -1.0])
 
     def function(x, y):
@@ -323,7 +321,6 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_refusals(name):
-    """A function that mixes lanes, or has no rule, is refused with a reason."""
     with pytest.raises(Untranslatable, match=r"\w"):
         Kernel(REFUSED[name], X)
 

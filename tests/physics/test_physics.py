@@ -155,7 +155,6 @@ def reference_frequencies(p):
 @pytest.mark.parametrize("beta", [0.01, 0.4, 1.2])
 @pytest.mark.parametrize("gamma", [0.1, 0.75, 1.0, 1.3, 9.0])
 def test_natural_frequencies_are_eigenvalues(beta, gamma):
-    """Test eq. 5.16."""
     p = drill(33.0, beta, gamma, m1=300.0)
     np.testing.assert_allclose(natural_frequencies(p), reference_frequencies(p), rtol=1e-11)
 

@@ -189,12 +189,6 @@ def test_multipliers_under_constant_contact_do_not_depend_on_pulses(orbits):
         np.testing.assert_allclose(dataset.multiplier_abs[0], expected, rtol=1e-9)
 
 
-def test_variables_of_orbits(orbits):
-    assert "period" not in orbits and "cycles" not in orbits
-    assert {"orbit_compression", "orbit_v3", "grazing_margin"} <= set(orbits.data_vars)
-    assert {"multiplier_abs", "orbit_v3"} <= set(vj.list_variables("penetration").index)
-
-
 def test_margin_is_the_least_compression_whatever_the_rounding_errors():
     """The next pulse turns the bit before it leaves the rock: its compression is least at the end of a step there."""
     grid = {"threshold": (204.5e3 * (1 + 1e-4 * np.arange(9))).tolist()}
