@@ -2,9 +2,9 @@
 
     python tests/planted_faults.py [WORD ...]      only faults whose names contain one of the words
 
-A fault is one line of the source with an error that a person may well make: a sign, a law, an order of events, a unit,
-a rule of a kernel, a check of stored results. The tests run in a copy of the repository, and none of them is marked
-`long`. The script ends with the faults that were not found, of which there should be none.
+A fault of `data/planted_faults.txt` is one line of the source with an error that a person may well make: a sign, a law,
+an order of events, a unit, a rule of a kernel, a check of stored results. The tests run in a copy of the repository,
+and none of them is marked `long`. The script ends with the faults that were not found, of which there should be none.
 """
 
 import os
