@@ -119,11 +119,6 @@ def test_unregistered_analysis_object_runs():
     assert isinstance(analysis_of(ds), Medians)
 
 
-def test_dataset_is_no_sweep():
-    with pytest.raises(vj.InputError, match="sweep: a dataset is not a sweep; give a path, a bundled name or a dict"):
-        vj.run_sweep(xr.Dataset({"regime": 1}))
-
-
 @pytest.mark.parametrize("wrong", [Medians, 3, None])
 def test_object_that_is_not_an_analysis_is_refused(wrong):
     with pytest.raises(vj.InputError, match="is not an Analysis"):

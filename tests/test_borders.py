@@ -136,17 +136,3 @@ def test_command(command, capsys, monkeypatch):
     assert main(["info", "map-borders.nc"]) == 0 and "% of the plane" in capsys.readouterr().out
     assert main(["borders", "map.nc", "--axes", "gamma"]) == 2
     assert "not a pair" in capsys.readouterr().err
-
-
-@pytest.mark.long
-def test_wedge_between_points_of_the_grid_is_closed():
-    """At beta = 0.4 the wedge between the torus of one orbit and the stick of another is 0.008 wide in gamma.
-
-    The grid's nearest point in the wedge is at beta = 0.46.
-    """
-    grid = {"beta": [0.34, 0.4, 0.46], "gamma": [0.55, 0.6, 0.65, 0.7]}
-    ds = vj.borders(SWEEP | {"parameters": {"delta": 0.005}, "grid": grid}, at={"beta": 0.4}, progress=False)
-    crossed = ds.crossing_curve.values
-    own = ds.start.values[crossed] == "any"
-    found = dict(zip(kinds(ds)[crossed[own]].tolist(), ds.crossing_gamma.values[own].tolist(), strict=True))
-    assert found == {"torus": pytest.approx(0.61473, abs=1e-5), "stick": pytest.approx(0.62294, abs=1e-5)}

@@ -312,7 +312,6 @@ REFUSED = {
     "half precision": lambda x: x.astype(jnp.float16),
     "a mean over lanes": lambda x: x - x.mean(),
     "some lanes": lambda x: x[::2],
-    "lanes in another order": lambda x: jnp.stack([x, x]).T.reshape(2, -1),
     "lanes by number": lambda x: x[jnp.array([0, 0, 1])],
     "along the lanes": lambda x: lax.scan(lambda total, y: (total + y, total), 0.0, x)[1],
     "an unsigned row number": lambda x: jnp.take(jnp.arange(3.0), (x > 0).astype(jnp.uint64)),
