@@ -59,6 +59,20 @@ def test_rules_have_bits_of_xla(name, dtype):
         np.testing.assert_array_equal(value, other)
 
 
+def test_every_rule_is_tested():
+    used = set()
+
+    def add(jaxpr):
+        for equation in jaxpr.eqns:
+            used.add(equation.primitive.name)
+            if equation.primitive.name in reference.CALLS:
+                add(equation.params[reference.CALLS[equation.primitive.name]].jaxpr)
+
+    for function in CASES.values():
+        add(jax.make_jaxpr(function)(FLOATS, OTHERS).jaxpr)
+    assert set(reference.RULES) - used <= {"stack", "stop_gradient"}  # primitives of some versions of jax
+
+
 # Which foreign code is compared with XLA at run time
 
 RANDOM = np.random.default_rng(9)
