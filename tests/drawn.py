@@ -273,9 +273,6 @@ def sample(count=100):
 LONG = {"beta": np.linspace(0.25, 0.6, 8), "gamma": np.linspace(0.6, 0.9, 7)}
 
 
-# Plots of a picture.
-
-
 def sheet_of(ds, over=()):
     """Return the sheet of a dataset's picture."""
     return as_sheet(analysis_of(ds).plots(drawable(ds), over))
@@ -318,9 +315,6 @@ def labels(sheet):
 def scales(sheet):
     """Return the quantities that have a colour bar."""
     return list({id(plot.scale): plot.scale for plot in resolved(sheet.plots) if plot.scale is not None}.values())
-
-
-# Texts of a figure.
 
 
 def texts(figure):

@@ -48,6 +48,13 @@ def names_of(ds, variable="regime"):
     return np.array(ds[variable].attrs["flag_meanings"].split())[ds[variable].values.ravel()].tolist()
 
 
+def special_values(family, kind, branch=0):
+    """Return the parameter values of the special points of a kind on a branch."""
+    flag = family.special_kind.attrs["flag_meanings"].split().index(kind)
+    chosen = (family.special_kind.values == flag) & (family.special_branch.values == branch)
+    return family.special_value.values[chosen]
+
+
 IMPACT_OSCILLATOR = mass(
     lambda t, y, p: p["a"] * cos(p["w"] * t) - p["damping"] * y["v"] - p["stiffness"] * y["x"],
     vj.Impact("stop_hit", gap=lambda t, y, p: p["stop"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
@@ -176,9 +183,6 @@ def lorenz(section):
         },
         section=section,
     )
-
-
-# Closed forms for a rigid stop
 
 
 class Rigid(NamedTuple):

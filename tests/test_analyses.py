@@ -119,22 +119,9 @@ def test_unregistered_analysis_object_runs():
     assert isinstance(analysis_of(ds), Medians)
 
 
-def test_dataset_is_no_sweep():
-    with pytest.raises(vj.InputError, match="sweep: a dataset is not a sweep; give a path, a bundled name or a dict"):
-        vj.run_sweep(xr.Dataset({"regime": 1}))
-
-
 @pytest.mark.parametrize("wrong", [Medians, 3, None])
 def test_object_that_is_not_an_analysis_is_refused(wrong):
     with pytest.raises(vj.InputError, match="is not an Analysis"):
         vj.analyse("regime-map", wrong)
     with pytest.raises(vj.InputError, match="Bare has no method run"):
         vj.analyse("regime-map", type("Bare", (vj.Analysis,), {"kind": "bare"})())
-
-
-def test_datasets_of_earlier_versions_receive_their_kind():
-    folder = Path(__file__).parent / "data" / "versions"
-    kinds = {"regimes": "sweep", "points": "sweep", "rates": "sweep", "law": "fit"}
-    for path in sorted(folder.glob("*/*.nc")):
-        if path.stem in kinds:
-            assert vj.open_dataset(path).attrs["kind"] == kinds[path.stem], path

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from systems import IMPACT_OSCILLATOR, WALLS, mass, oscillator_orbits
+from systems import WALLS, mass
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -186,28 +186,6 @@ def test_transformations_and_precisions(f):
         jax.hessian(lambda x: f(x)["period"])(HERE)
 
 
-@pytest.mark.long
-def test_results_do_not_depend_on_other_calls_or_neighbours_in_a_batch():
-    """Each function is new, so that no result is a stored one; the results agree bit for bit."""
-    points = np.random.default_rng(5).uniform([0.3, 0.5], [0.7, 1.1], (6, 2))
-    points[0] = [0.5941523925535459, 0.7872783245445198]  # from a neighbour, another orbit is nearer than on the line
-
-    def results(order, size):
-        f = _function(at=HERE)
-        batch = jax.jit(jax.vmap(lambda x: (f(x), jax.jacrev(lambda x: jnp.stack([f(x)[name] for name in OF]))(x))))
-        parts = [batch(jnp.asarray(points[order[k : k + size]])) for k in range(0, len(order), size)]
-        table = {name: np.concatenate([values[name] for values, _ in parts]) for name in parts[0][0]}
-        table["gradient"] = np.concatenate([gradient for _, gradient in parts])
-        return {name: x[np.argsort(order)] for name, x in table.items()}
-
-    forth = np.arange(len(points))
-    alone = results(forth, 1)
-    assert 0 < alone["valid"].sum() < len(points)
-    other = results(forth[::-1], 3)
-    for name, x in alone.items():
-        np.testing.assert_array_equal(x, other[name])
-
-
 def test_values_outside_region_of_validity(f):
     """There the function returns finite values, those of the last valid orbit on the path, or NaN."""
     beyond = f(BEYOND)
@@ -237,17 +215,3 @@ def test_optimizer_converges(f):
 def test_unknown_choice_is_refused():
     with pytest.raises(InputError, match=r"as_jax: outside: .zero. is unknown; choose from nearest, nan"):
         vj.as_jax("vibro-impact", of="period", by=["beta", "gamma"], outside="zero")
-
-
-@pytest.mark.long
-def test_orbit_continues_where_an_impact_passes_the_section():
-    """At a = 0.84 the state at the section jumps, and nothing else; the motion is that of a closed form."""
-    point = {"w": 0.9, "damping": 0.1, "stop": 1.0}
-    f = vj.as_jax(IMPACT_OSCILLATOR, of="impact_velocity", by="a", at=[1.0], r=0.7, **point)
-    for a in (0.8, 0.6):
-        before, speed, after = (
-            oscillator_orbits(a + h, 0.7, stiffness=1.0, **point)[-1].speed for h in (-1e-6, 0, 1e-6)
-        )
-        assert f([a])["valid"] and f([a])["impact_velocity"] == pytest.approx(speed, rel=1e-8)
-        slope = jax.grad(lambda x: f(x)["impact_velocity"])(jnp.array([a]))
-        assert slope == pytest.approx((after - before) / 2e-6, rel=1e-6)

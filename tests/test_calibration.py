@@ -6,7 +6,6 @@ import pytest
 import xarray as xr
 from drawn import sheet_of
 from refusals import refusal
-from systems import IMPACT_OSCILLATOR, oscillator_orbits
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -202,9 +201,6 @@ def test_command_writes_dataset_and_picture(motion, tmp_path, capsys):
     assert again.estimate.values == pytest.approx(_calibrated(_runs(motion, 1e-3)).estimate.values, rel=1e-6)
 
 
-# Histories
-
-
 FRICTION = {"mu": 0.35, "v_cr": 2.5}
 WIDE = {"mu": [0.1, 0.8], "v_cr": [1.0, 6.0]}
 SAMPLING = 4e-3
@@ -333,46 +329,6 @@ def test_observed_impact_velocities_are_converted_to_the_unit_of_the_system():
     for name, value in (("impact_velocity (m/s)", 7e-4), ("impact_velocity (mm/s)", 0.7), ("impact_velocity", 0.7)):
         read = read_calibration(known | {"data": {"a": [0.5], name: [value]}, "error": {"impact_velocity": 0.01}})
         assert read.problem.values.item() == pytest.approx(0.7, rel=1e-15)
-
-
-@pytest.mark.long
-def test_observations_on_both_sides_of_an_impact_at_the_section_are_used():
-    """At a = 0.84, where the orbit's impact passes the section, only the state there jumps."""
-    point, a = {"w": 0.9, "damping": 0.1, "stop": 1.0}, [0.75, 0.8, 0.88]
-    speeds = [oscillator_orbits(R=0.7, stiffness=1.0, a=x, **point)[-1].speed for x in a]
-    known = {"scene": IMPACT_OSCILLATOR, "parameters": point, "data": {"a": a, "impact_velocity": speeds}}
-    fit = vj.calibrate({**known, "unknown": {"r": [0.5, 0.9]}, "searches": 1, "draws": 2}, progress=False)
-    assert fit.used.all() and fit.estimate.item() == pytest.approx(0.7, rel=1e-7)
-
-
-def squared_distance(fit, truth):
-    """Return the squared distance from the truth in standard errors, chi-squared with two degrees of freedom."""
-    stderr, deviation = fit.estimate_stderr.values, fit.estimate.values - [*truth.values()]
-    return deviation @ np.linalg.solve(fit.correlation.values * np.outer(stderr, stderr), deviation)
-
-
-@pytest.mark.long
-def test_standard_errors_cover_true_parameters(motion):
-    rng, exact = np.random.default_rng(1), _runs(motion)
-    errors = {name: 2e-3 * float(np.abs(motion[name]).mean()) for name in OBSERVED}
-    distances = []
-    for _ in range(10):
-        noisy = {name: exact[name] + error * rng.standard_normal(len(SPEEDS)) for name, error in errors.items()}
-        distances.append(squared_distance(_calibrated({"v": SPEEDS} | noisy, error=errors, draws=2), TRUE_VALUES))
-    # The mean is 2 and its standard error is sqrt(4/10). The test allows four standard errors.
-    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 10)
-
-
-@pytest.mark.long
-def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history):
-    rng, noise, distances = np.random.default_rng(20260102), 0.005, []
-    for _ in range(20):
-        noisy = history[["v1"]].assign(v1=history.v1 + noise * rng.standard_normal(history.sizes["time"]))
-        fit = from_history({"data": noisy, "window": [0.0, 0.5], "start": "stuck"}, searches=1, draws=2)
-        assert float(fit.noise) * np.sqrt(np.mean(fit.observed.values**2)) == pytest.approx(noise, rel=0.3)
-        distances.append(squared_distance(fit, FRICTION))
-    # The mean is 2 and its standard error is sqrt(4/20). The test allows four standard errors.
-    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 20)
 
 
 @pytest.mark.long

@@ -10,7 +10,6 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from links import faults
 
 import vibrojax as vj
 from vibrojax import cli
@@ -154,21 +153,6 @@ def test_gallery_shows_every_script_with_its_picture():
 
 def test_notebooks_have_no_stored_outputs():
     assert [path.name for path in (ROOT / "notebooks").glob("*.ipynb") if '"output_type"' in path.read_text()] == []
-
-
-def test_dead_links_are_reported(tmp_path):
-    page = '<h1 id="a b">x</h1><a href="other.html#c">x</a><a href="#a%20b">x</a><a href="https://x.org/">x</a>'
-    (tmp_path / "page.html").write_text(page)
-    (tmp_path / "other.html").write_text('<p id="c"><img src="page.html"><a href="page.html">x</a>')
-    assert faults(tmp_path) == []
-    wrong = '<a href="page.html#d">x</a><a href="gone.html">x</a><script src="https://x.org/y.js"></script>'
-    (tmp_path / "wrong.html").write_text(wrong)
-    assert faults(tmp_path) == [
-        "wrong.html: loads https://x.org/y.js from elsewhere",
-        "wrong.html: page.html#d has no such place",
-        "wrong.html: gone.html is not there",
-    ]
-    assert faults(tmp_path / "none") == [f"{tmp_path / 'none'}: no pages"]
 
 
 def test_actions_are_pinned_by_commit():

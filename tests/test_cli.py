@@ -74,14 +74,6 @@ def test_sweep_runs_and_draws(here, capsys):
     assert {path.name for path in here.iterdir()} == {"map.toml", "map.nc", "map.png", "a b.nc", "a b.png"}
 
 
-def test_dry_run_only_prints_estimate(here, capsys):
-    assert main(["sweep", "map.toml", "--dry-run"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "lanes   4 (2 beta x 2 start) in 1 chunk"
-    assert [line.split()[0] for line in lines] == ["lanes", "memory", "disk", "time"]
-    assert [path.name for path in here.iterdir()] == ["map.toml"]
-
-
 @pytest.mark.parametrize(
     ("argv", "line"),
     [
@@ -176,8 +168,6 @@ def test_decimal_comma_in_a_file_is_explained(tmp_path, capsys):
     error = capsys.readouterr().err
     assert "v = 1,2: write a decimal point, v = 1.2, or a list, v = [1, 2]" in error and error.count("\n") == 1
 
-
-# Output options
 
 SWEEP = """scene = "penetration"
 [grid]

@@ -109,12 +109,6 @@ def test_fold_follows_closed_form():
     assert len(vj.picture(ds).axes) == 1
 
 
-def test_special_point_of_a_branch_that_was_dropped_is_refused():
-    part = family("fold", *fold_point(FOLDING)).assign(special_branch=("special", [1]))
-    with pytest.raises(vj.InputError, match="the point of 0 is not in the family; give the whole family"):
-        vj.curves(part, by="w", span=(1.05, 1.3), progress=False)
-
-
 def fold_point(w):
     """Return amplitude, frequency and section state at which two orbits meet."""
     a = fold_amplitude(w)
@@ -169,16 +163,3 @@ def test_hopf_points_follow_linear_stability_of_sliding():
     assert len(rates) > 10 and np.abs(rates).max() < 1e-8
     exact = brentq(lambda gamma: eigenvalue(gamma, 0.45, v).real, 0.8, high, xtol=1e-15)
     assert ds.crossing_gamma.values == pytest.approx([exact], abs=1e-10)
-
-
-@pytest.mark.long
-def test_period_doubling_cascade_has_feigenbaum_ratio():
-    settled = {"settle": 200.0, "observe": 40.0, "stop": 0.0, "progress": False}
-    cascade = vj.follow(IMPACT_OSCILLATOR, along="w", at=2.6, span=(2.55, 2.85), cycles=8, **settled)
-    doublings = np.flatnonzero(cascade.special_kind.values == SPECIAL_KINDS.index("period-doubling"))
-    ds = vj.curves(cascade, by="r", span=(0.65, 0.75), special=doublings[1:], at={"r": 0.65}, progress=False)
-    assert len(doublings) == 4 and ds.crossing_curve.values.tolist() == [0, 1, 2]
-    for ends in (cascade.special_value.values[doublings[1:]], ds.crossing_w.values):
-        first, second = np.diff(ends)
-        assert first / second == pytest.approx(4.669, rel=0.02)
-    assert ds.sizes["codim2"] == 0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from exact import measure, run
 from exact.measures import sections
+from systems import events_of
 
 import vibrojax as vj
 from vibrojax.measures.motion import _trend
@@ -18,12 +19,6 @@ SCENES = {
     "penetration": {"zeta": 0.5, "force": 250e3, "pulse_shape": "half-sine"},
 }
 """A point of each scene; both drilling scenes yield, lift off and land at theirs."""
-
-
-# The reference by itself
-
-
-# The package against the reference
 
 
 def differences(motion, dataset):
@@ -97,8 +92,6 @@ def test_sweep_of_coupled_drilling():
     for name in ("period", "impact_velocity", "rate_of_penetration", "mean_force", "stick_fraction", "drive_power"):
         np.testing.assert_allclose(lane[name], expected[name], rtol=1e-7, atol=1e-9, err_msg=name)
 
-
-# Measures of the time loop
 
 SETTLE, OBSERVE = 10.0, 4.0
 ERROR = 1e-5  # so small that the periods of sweep and simulation agree to 1e-9
@@ -176,8 +169,7 @@ def test_settling_time(features, name="gap"):
     motion = vj.simulate(
         scene, **values, start=start, duration=SETTLE + OBSERVE, sampling=1e-4, error=ERROR, progress=False
     )
-    kinds = motion.event_kind.attrs["flag_meanings"].split()
-    crossings = motion.event_time.values[motion.event_kind.values == kinds.index("section")]
+    crossings = events_of(motion, "section")
     t = motion.time.values
     x1, x2, v2 = (np.interp(crossings, t, motion[y].values) for y in ("x1", "x2", "v2"))
     last = 0.0

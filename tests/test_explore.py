@@ -54,9 +54,6 @@ def unpack(packed: dict) -> np.ndarray:
     return np.ascontiguousarray(planes.T).view(f"<{packed['dtype']}").reshape(packed["shape"])
 
 
-# Encoding.
-
-
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 40), min_size=1, max_size=4))
 def test_cells_survive_encoding(seed: int, sizes: list[int]) -> None:
@@ -86,9 +83,6 @@ def test_cells_survive_encoding(seed: int, sizes: list[int]) -> None:
         np.testing.assert_allclose(decoded.section["v1"], 7.5)
         if cell.multipliers is not None and decoded.multipliers is not None:
             np.testing.assert_allclose(decoded.multipliers, cell.multipliers, rtol=1e-6)
-
-
-# Motions.
 
 
 def test_cells_are_closed_orbits_of_their_lanes(plane: xr.Dataset, cells: list[Cell]) -> None:
@@ -134,9 +128,6 @@ def test_states_before_and_after_an_impact_are_at_its_own_time() -> None:
     assert all(words in text for text in (cell_of(unsettled).note, str(document["summary"])))
     assert words[1:] in states_over_time(unsettled).note and words not in cell_of(motion).note
     assert document["common"].count("r = 0.5") == 1 and "bit" not in document["meanings"]["equilibrium"]
-
-
-# Documents.
 
 
 def test_page_of_default_map_is_under_ten_megabytes(plane: xr.Dataset, cells: list[Cell]) -> None:
@@ -196,9 +187,6 @@ def test_every_kind_of_special_point_has_a_shape() -> None:
     assert {str(mark["marker"]) for mark in MARKS.values()} <= {*names, "o"}
 
 
-# The page.
-
-
 def test_page_loads_nothing_and_text_cannot_end_its_script(plane: xr.Dataset, tmp_path: Path) -> None:
     named = plane.assign_attrs(title="</script><script>alert(1)</script>")
     path = write_page(named, tmp_path / "page.html", progress=False)
@@ -210,9 +198,6 @@ def test_page_loads_nothing_and_text_cannot_end_its_script(plane: xr.Dataset, tm
     assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!data:)""", text)
     assert not re.findall(r"\b(?:fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon|import)\s*\(", text)
     assert not re.findall(r"url\((?!data:|#)", text)
-
-
-# Refused datasets.
 
 
 def test_undrawable_datasets_are_refused_in_one_line(
@@ -229,9 +214,6 @@ def test_undrawable_datasets_are_refused_in_one_line(
     assert f"{study}: its content does not fit together" in command_refusal(capsys, "explore", study)
     assert f"{empty}: explore: nothing to draw" in command_refusal(capsys, "explore", empty)
     assert not list(tmp_path.glob("*.html"))
-
-
-# Plots of analyses.
 
 
 def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:

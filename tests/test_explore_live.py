@@ -305,9 +305,7 @@ def test_lanes_match_sweep(dataset, motions):
 @pytest.mark.parametrize(
     ("fixed", "grid"),
     [
-        ({"bit_radius": 0.1}, {"rpm": [100.0, 150.0]}),
         ({"bit_frequency": 4.5}, {"m1": [200.0, 300.0]}),
-        ({"bit_radius": 0.05, "threshold": 15e3}, {"striker_frequency": [2.9, 3.0]}),
         ({"threshold": 15e3}, {"bit_radius": [0.04, 0.05]}),
     ],
 )

@@ -160,9 +160,6 @@ def test_badge_and_text_of_cell_agree(dataset, tmp_path, browser):
                 assert text.inner_text().startswith("does not repeat; simulated anew it ends in another motion")
 
 
-# The widget
-
-
 @pytest.fixture
 def widget(dataset):
     return vj.explore(dataset)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact import run
-from exact.measures import sections
+from exact import orbits
 from refusals import refusal
 from scipy.linalg import expm
 from scipy.optimize import brentq
+from systems import special_values
 
 import vibrojax as vj
 from vibrojax.io.kinds import SPECIAL_KINDS
@@ -22,12 +22,6 @@ def follow_drill(**more):
     return vj.follow(**({"scene": "vibro-impact", "progress": False} | more))
 
 
-def specials(family, kind, branch=0):
-    """Return the parameter values of the special points of a kind on a branch."""
-    mask = (family.special_kind.values == SPECIAL_KINDS.index(kind)) & (family.special_branch.values == branch)
-    return np.sort(family.special_value.values[mask])
-
-
 @pytest.fixture(scope="module")
 def family():
     """Return a family over gamma, from the usual single impact down to its doubling and on to both ends."""
@@ -38,9 +32,6 @@ def branch_of(family, number):
     return family.isel(point=family.branch.values == number)
 
 
-# Against references
-
-
 @pytest.mark.parametrize(("case", "kind"), [(ENDS[0], "torus"), (ENDS[1], "fold")])
 def test_ends_of_families(case, kind):
     """The reference is accurate to about 1e-8."""
@@ -48,18 +39,12 @@ def test_ends_of_families(case, kind):
     family = follow_drill(
         along=case["along"], at=case["at"], span=(low, high), start=case["start"], cycles=1, **case["fixed"]
     )
-    values = specials(family, kind)
+    values = special_values(family, kind)
     assert np.abs(values - case["end_value"]).min() < 3e-9
     index = np.abs(family[case["along"]].values - case["end_value"]).argmin()
     exact = abs(complex(*case["largest_multiplier"]))
     # At the reference's own end the fold's multiplier differs from 1 by 3e-6: it follows the root of the distance.
     assert abs(family.multiplier_abs.values[index, 0] - exact) < 1e-5
-
-
-def return_map(parameters, section):
-    start = [section[0], 0.0, section[1], section[2]]
-    motion = run("vibro-impact", start=start, observe=1.0, **parameters)
-    return motion.at(sections(motion)[:1])[0][[0, 2, 3]]
 
 
 DOUBLING = 0.392500037
@@ -71,24 +56,17 @@ def test_orbits_match_exact_motion(family, gamma):
     point = branch.isel(point=np.abs(branch.gamma.values - gamma).argmin())
     parameters = {"beta": 0.4, "gamma": float(point.gamma)}
     section = np.array([float(point[name]) for name in STATES])
-    np.testing.assert_allclose(return_map(parameters, section), section, atol=1e-9)
-    columns = []
-    for k, size in enumerate((0.05, 0.05, 1.0)):
-        step = 1e-6 * size * np.eye(3)[k]
-        columns.append(
-            (return_map(parameters, section + step) - return_map(parameters, section - step)) / (2 * step[k])
-        )
-    values = np.linalg.eigvals(np.array(columns).T)
-    exact = np.sort(np.abs(values))[::-1]
+    period = float(point.period)
+    _, states = orbits.returns("vibro-impact", parameters, section, 1.01 * period)
+    np.testing.assert_allclose(states[0], section, atol=1e-9)
+    values = orbits.multipliers("vibro-impact", parameters, section, period)
+    exact = np.abs(values)
     np.testing.assert_allclose(point.multiplier_abs.values, exact, atol=1e-6 * max(1, exact[0]))
     if gamma == DOUBLING:
-        assert specials(family, "period-doubling") == pytest.approx([gamma], abs=1e-8)
+        assert special_values(family, "period-doubling") == pytest.approx([gamma], abs=1e-8)
         assert abs(values + 1).min() < 1e-5
     else:
         assert (point.stable == 1) == (exact[0] < 1)
-
-
-# Theory of special points
 
 
 def test_stability_changes_only_at_special_points(family):
@@ -96,7 +74,7 @@ def test_stability_changes_only_at_special_points(family):
     changes = np.flatnonzero(np.diff(branch.stable.values))
     assert {0, 1} <= set(branch.stable.values.tolist())
     bifurcations = np.concatenate(
-        [specials(family, kind) for kind in ("fold", "period-doubling", "torus", "grazing", "stick")]
+        [special_values(family, kind) for kind in ("fold", "period-doubling", "torus", "grazing", "stick")]
     )
     for k in changes:
         low, high = sorted(branch.gamma.values[k : k + 2])
@@ -114,10 +92,10 @@ def eigenvalue(gamma, beta, v, m1=250.0, k1=156250.0, c2=250.0, g=9.81, mu=0.4, 
 def test_branch_ends_at_hopf_point_where_sliding_becomes_stable():
     along, span, fixed = "gamma", (0.89, 1.0), {"beta": 0.4, "v": 1.5}
     family = vj.follow("rotary", along=along, at=0.9, span=span, start="stuck", settle=60.0, progress=False, **fixed)
-    [hopf] = specials(family, "hopf")
+    [hopf] = special_values(family, "hopf")
     exact = brentq(lambda value: eigenvalue(**{along: value}, **fixed).real, *span, xtol=1e-14)
     assert hopf == pytest.approx(exact, abs=1e-12)
-    assert len(specials(family, "end")) == 1
+    assert len(special_values(family, "end")) == 1
     point = family.isel(point=family[along].values == hopf).squeeze("point")
     period = 2 * np.pi / eigenvalue(**{along: hopf}, **fixed).imag
     assert point.period.item() == pytest.approx(period, rel=1e-12)
@@ -129,7 +107,7 @@ def test_branch_ends_at_hopf_point_where_sliding_becomes_stable():
 
 
 def test_doubled_branch_leaves_as_root_of_distance(family):
-    [doubling] = specials(family, "period-doubling")
+    [doubling] = special_values(family, "period-doubling")
     single, double = branch_of(family, 0), branch_of(family, 1)
     assert (double.cycles == 2).all() and double.impacts[0] == 2
     # The branch begins with two rounds of the single orbit: multipliers are squared, and -1 becomes 1.
@@ -148,23 +126,13 @@ def test_doubled_branch_leaves_as_root_of_distance(family):
 def test_branch_that_doubles_at_both_ends_is_listed_once():
     settings = {"start": "stuck", "beta": 0.268, "v": 0.82, "delta": 0.005}
     family = follow_drill(along="gamma", at=0.72, span=(0.32, 0.73), cycles=2, **settings)
-    doublings = specials(family, "period-doubling")
+    doublings = special_values(family, "period-doubling")
     assert len(doublings) == 2 and set(family.branch.values.tolist()) == {0, 1}
-    [end] = specials(family, "end", branch=1)
+    [end] = special_values(family, "end", branch=1)
     branch = branch_of(family, 1)
     ends = {float(branch.gamma[0]), float(branch.gamma[-1])}
     # The branch begins and ends at the doublings themselves, and nowhere near them.
     assert ends == set(doublings.tolist()) and end in ends
-
-
-@pytest.mark.long
-def test_continuation_of_other_scenes():
-    rotary = vj.follow("rotary", along="v", at=1.0, span=(0.6, 1.4), beta=0.3, gamma=0.5, progress=False)
-    assert "impacts" not in rotary and (rotary.stable == 1).all()
-    soft = {"beta": 0.3, "gamma": 0.7, "threshold": 2e4, "start": "stuck", "cycles": 1}
-    coupled = vj.follow("coupled-drilling", along="zeta", at=1.5, span=(1.2, 1.8), progress=False, **soft)
-    assert coupled.sizes["multiplier"] == 5 and (coupled.rate_of_penetration > 0).all()
-    assert set(coupled.special_note.values.tolist()) >= {"the first value is reached", "the last value is reached"}
 
 
 def test_lanes_near_orbits_stay_only_if_orbits_are_stable():
@@ -185,9 +153,6 @@ def test_lanes_near_orbits_stay_only_if_orbits_are_stable():
     stays &= (lanes.cycles.values == 1) & (lanes.impacts.values == hyperbolic.impacts.values)
     np.testing.assert_array_equal(stays, hyperbolic.stable.values == 1)
     assert stays.any()
-
-
-# Refused input
 
 
 def test_wrong_input_is_refused():
@@ -213,7 +178,7 @@ def test_rock_begins_to_yield_at_force_of_linear_response():
     begin = np.linalg.solve(np.eye(2) - after @ within, after @ (still - within @ still))
     end = still + within @ (begin - still)
     peak = max((expm(field * t) @ end)[0] for t in np.linspace(0, 4e-3, 4001))
-    [onset] = specials(family, "grazing")
+    [onset] = special_values(family, "grazing")
     assert abs(onset / (threshold / k3 / peak) - 1) < 1e-7
     below = family.force.values < onset - 1.0
     assert (family.rate_of_penetration.values[below] == 0).all()

@@ -69,21 +69,6 @@ def test_list_gives_as_many_families(here, capsys):
     assert main(["plot", "two.nc", "--where", "beta=0.4", "-o", "second.png"]) == 0
 
 
-def test_other_curves_of_a_family_get_a_number(here, monkeypatch):
-    """Numbers belong to the settings: curves that have been computed before are found under theirs."""
-    computed = []
-
-    def continue_curves(spec, progress):
-        computed.append(spec.span[1])
-        return open_dataset("one.nc")
-
-    monkeypatch.setattr("vibrojax.studies.curves.continue_curves", continue_curves)
-    for number, bound in (("", 0.5), ("-2", 0.6), ("", 0.5), ("-3", 0.7), ("-2", 0.6)):
-        assert main(["curves", "one.nc", "by=beta", "from=0.3", f"to={bound}", "--quiet"]) == 0
-        assert (here / f"one-beta{number}.nc").exists()
-    assert computed == [0.5, 0.6, 0.7] and len(list(here.glob("one-beta*.nc"))) == 3
-
-
 def test_default_name_and_other_settings(here, capsys):
     arguments = ["follow", "rotary", "along=v", "at=1.2", "from=1.1", "to=1.3", "settle=20"]
     assert main([*arguments, "--quiet"]) == 0 and (here / "rotary-v.nc").exists() and (here / "rotary-v.png").exists()
@@ -112,8 +97,6 @@ def test_family_is_drawn_over_returns_of_sweep(here, capsys):
     assert "no such file" in command_refusal(capsys, "plot", "returns.nc", "--over", "no.nc")
     assert "laid over the returns of a sweep" in command_refusal(capsys, "plot", "one.nc", "--over", "one.nc")
 
-
-# Refused input.
 
 BASE = {"along": "gamma", "at": "0.45", "from": "0.36", "to": "0.5"}
 WRONG = {

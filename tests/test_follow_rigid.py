@@ -17,6 +17,7 @@ from systems import (
     oscillator_doubles,
     oscillator_grazes,
     oscillator_orbits,
+    special_values,
 )
 
 import vibrojax as vj
@@ -24,13 +25,6 @@ import vibrojax as vj
 OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 R = 0.7
 GRAZE = oscillator_grazes(**OSCILLATOR)
-
-
-def special_values(family, kind, branch=0):
-    """Return the parameter values of the special points of a kind on a branch."""
-    flag = family.special_kind.attrs["flag_meanings"].split().index(kind)
-    chosen = (family.special_kind.values == flag) & (family.special_branch.values == branch)
-    return family.special_value.values[chosen]
 
 
 def test_branch_continues_past_graze_where_impact_vanishes():
@@ -160,8 +154,6 @@ def test_graze_is_the_same_from_both_sides():
     ("d", "at", "start", "value"),
     [
         (0.341, 0.85, [0.1, 0.3], 0.865514886644253),
-        (0.341, 0.97, [0.1, 0.3], 0.865514886644253),
-        (0.34, 0.66, [0.0, 0.0], 0.685333635132339),
         (0.34, 0.69, [0.0, 0.0], 0.685333635132339),  # steps become short
         (0.34, 0.74, [0.0, 0.0], 0.685333635132339),  # rounding errors lead past the point
     ],

@@ -44,7 +44,6 @@ def test_first_motion(tmp_path, monkeypatch, capsys):
 
 
 def test_first_map(tmp_path, monkeypatch, capsys):
-    """With a coarser grid."""
     monkeypatch.chdir(tmp_path)
     Path("map.toml").write_text(START["toml file=map.toml"].replace("num = 24", "num = 2"))
     assert run("sh run=map") == [0, 0, 0]

@@ -4,7 +4,6 @@ import json
 import os
 import re
 import resource
-import shlex
 import time
 import unicodedata
 from pathlib import Path
@@ -18,7 +17,7 @@ from refusals import command_refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.errors import InputError, escape_json, printable, shell_assignment
+from vibrojax.errors import InputError, escape_json, printable
 from vibrojax.explorer.document import check_names
 from vibrojax.io.files import read_regular
 from vibrojax.maps.rerun import sweep_of_dataset
@@ -141,12 +140,6 @@ def test_escaping_of_texts():
     assert printable("  a \t b ") == "a b" and printable("β, Δ = 5 mm") == "β, Δ = 5 mm"
     text = json.dumps({"a": STEERING, "b": "\U000e0041 é"}, ensure_ascii=False)
     assert json.loads(escape_json(text)) == json.loads(text) and not control_characters(escape_json(text))
-
-
-def test_value_is_one_shell_word():
-    for value in ("ROP (m/h)", "$(touch x)", "`x`", "a'b", ""):
-        word = shell_assignment("mean_force", value)
-        assert shlex.split(word) == [f"mean_force={value}"] and ("'" in word or not set(value) & set('$`"\\!'))
 
 
 def test_suggested_columns_are_one_shell_word(tmp_path, capsys):

@@ -4,21 +4,18 @@ import json
 import os
 import subprocess
 import sys
-from math import prod
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from refusals import refusal
+from systems import events_of
 
 import vibrojax as vj
 from vibrojax.compile import xla
 from vibrojax.compile.native import kernels
 from vibrojax.io.dataset import open_dataset
-from vibrojax.io.writers import Regions
 from vibrojax.maps import dataset as joining
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep, run_to_file
@@ -116,12 +113,6 @@ def test_second_sweep_compiles_nothing(tiled):
     assert list(kernels) == compiled
 
 
-def section_times(point, duration):
-    motion = vj.simulate("vibro-impact", **point, duration=duration, sampling=0.1, progress=False)
-    kinds = motion.event_kind.attrs["flag_meanings"].split()
-    return motion.event_time.values[motion.event_kind.values == kinds.index("section")]
-
-
 def test_keep_returns():
     """The newest return is last. Each has the time of a section crossing of `simulate`; missing ones are NaN."""
     cases = [PERIODIC[0], PERIODIC[1], *[case for case in CASES if case["expected"]["regime"] == "equilibrium"]]
@@ -129,7 +120,8 @@ def test_keep_returns():
     dataset = vj.run_sweep(sweep(cases, settle=2.0, observe=3.0, keep_returns=keep), progress=False)
     assert dataset.sizes["return_index"] == keep
     for index, case in enumerate(cases):
-        times = section_times(case["point"], 5.0)
+        motion = vj.simulate("vibro-impact", **case["point"], duration=5.0, sampling=0.1, progress=False)
+        times = events_of(motion, "section")
         times = times[times > 2.0]
         kept = dataset.return_time[index].values
         expected = np.concatenate([np.full(max(keep - len(times), 0), np.nan), times[-keep:]])
@@ -158,19 +150,6 @@ def test_float32():
             if expected.get(name):
                 np.testing.assert_allclose(single[name][index], expected[name], rtol=3e-6, err_msg=f"{name} {index}")
 
-
-def test_weakly_driven_lanes_finish():
-    """With a drive at rest and almost no friction, the start sets the scale, and the steps do not run out."""
-    grid = {"v": [0.0, 1e-6], "mu": [0.0, 1e-6], "c2": [0.0, 250.0], "g": [0.0, 9.81]}
-    starts = ["drive", "stuck", [0.01, 0.0, 0.02, 0.0], [0.0, -1.0, 0.0, 2.0]]
-    run = {"settle": 6.0, "observe": 4.0}
-    sweep = {"scene": "vibro-impact", "grid": grid, "starts": starts, "run": run}
-    dataset = vj.run_sweep(sweep, progress=False)
-    assert np.all(dataset.status == 0)
-    assert json.loads(dataset.solver)["steps"] < 5_000 * dataset.status.size
-
-
-# Joining chunks region by region
 
 JOINED = {
     "scene": "vibro-impact",
@@ -203,20 +182,6 @@ with file_target(Path(sys.argv[1])) as target:
     join(sweep, run, read, target, time.monotonic())
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """  # noqa: E501
-
-
-@settings(deadline=None)
-@given(st.lists(st.integers(1, 6), min_size=1, max_size=4), st.integers(1, 90))
-def test_regions_are_consecutive_whole_chunks(shape, limit):
-    regions = Regions(tuple(shape), limit)
-    values, position = np.full(shape, -1), 0
-    for region in regions:
-        assert region.first == position and 0 < region.end - region.first <= limit
-        position = region.end
-        assert all(part.start % size == 0 for part, size in zip(region.box, regions.chunk, strict=True))
-        assert all(part.stop - part.start <= size for part, size in zip(region.box, regions.chunk, strict=True))
-        values[region.box] = np.arange(region.first, region.end).reshape(region.shape)
-    np.testing.assert_array_equal(values.ravel(), np.arange(prod(shape)))
 
 
 @pytest.mark.parametrize(

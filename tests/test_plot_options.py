@@ -28,9 +28,6 @@ def with_shares(ds):
     return ds.assign(stick_fraction=(ds["regime"].dims, values, {"units": "1", "long_name": "share of time"}))
 
 
-# Variables.
-
-
 def test_variable_over_two_axes_is_drawn_as_single_map():
     ds = with_shares(lanes(square(7, delta=[-0.005, 0.005])))
     sheet = requested(ds, "stick_fraction")
@@ -49,9 +46,6 @@ def test_variable_of_many_starts_is_mapped_over_starts_or_as_median():
     ((_, shown),) = cells(sheet, "viridis")
     assert np.allclose(shown.values, ds["stick_fraction"].median("start").transpose("beta", "gamma"))
     assert "Of 64 starts the median" in sheet.note
-
-
-# Selection by value.
 
 
 def test_only_lanes_at_selected_value_are_drawn():
@@ -75,9 +69,6 @@ def test_coordinate_along_axis_selects_all_matching_lanes():
     assert select(points(), {"start": "stuck"}).sizes["point"] == 20
     vector = select(basin(line(3)), {"start": "[0,0,-0.05,0]"})
     assert float(vector["start_x2"]) == -0.05
-
-
-# Colours.
 
 
 def test_chosen_colours_apply_to_quantities_but_not_to_regimes():
@@ -111,9 +102,6 @@ WRONG = [
 def test_error_names_invalid_value_and_available_ones(arguments, message):
     ds = with_shares(returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=4))
     assert message in refusal(picture, ds, **arguments)
-
-
-# The command.
 
 
 @pytest.fixture
@@ -156,9 +144,6 @@ def test_command_does_not_replace_other_pictures(written, capsys):
     assert written.with_name("map-magma.png").read_bytes() == b"of something else"
 
 
-# Legends.
-
-
 def test_short_legend_does_not_narrow_the_panels():
     """A legend of one entry is below the panel, which has the width of the sheet; one of the panel's height is not."""
     for count, sides in ((1, (0.0, 0.5)), (20, (0.5, 1.0))):
@@ -180,9 +165,6 @@ def test_narrow_sheet_has_no_empty_place(grid):
     assert widths == ({0.5, 1.0} if grid else {1.0})
 
 
-# Diagrams.
-
-
 def test_campbell_shows_blows_that_differ_from_decided_returns():
     """Returns at 4 Hz: one blow each, two blows, and an undecided lane that has none."""
     table = {"regime": [3, 4, 0], "period": [0.25] * 3, "cycles": [1.0] * 3, "impacts": [1.0, 2.0, 0.0]}
@@ -201,9 +183,6 @@ def test_rate_over_force_lists_the_onsets_of_each_rock_once():
     assert [line.label.splitlines()[0] for line in lines] == [f"k₃ = {k} MN/m, onset [kN]" for k in (200, 300)]
     assert lines[0].label.splitlines()[1:] == ["f = 20 Hz 12–16", "f = 30 Hz 18–24"]
     assert [mark.label for mark in marks] == ["fitted law C ln(P/P0)", "no penetration", "onset"]
-
-
-# The designer's chart.
 
 
 def test_star_of_chart_is_robust_within_the_map():

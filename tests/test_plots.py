@@ -32,8 +32,6 @@ from vibrojax.studies.attractors import attractor_colours
 from vibrojax.studies.choose import picture, save_picture
 from vibrojax.studies.rop_law import fit_rop
 
-# One picture per rule.
-
 
 def bit_on_rock(count=400, pulses=20, **attributes):
     """Return a second of the bit on rock under pulses, with a hole that grows."""
@@ -203,9 +201,6 @@ def test_width_that_is_no_length_is_refused():
             picture(EXPECTED["regime_grid"](), width=width)
 
 
-# Maps.
-
-
 def test_titles_break_between_words():
     """They break between their parts, else between words, and within a word only if it is too long for a line."""
     title = "start drive: 14 % of the plane"
@@ -261,9 +256,6 @@ def test_cells_end_halfway_and_geometric_axes_are_logarithmic():
     assert np.array_equal(shown.values, ds["regime"].isel(start=0).transpose("delta", "v"))
 
 
-# Many starts.
-
-
 def test_many_starts_at_each_point_are_shares_and_dots():
     ds = drawn.basin(drawn.sample(64), drawn.LONG)
     sheet = sheet_of(ds)
@@ -278,9 +270,6 @@ def test_many_starts_at_each_point_are_shares_and_dots():
     single = (along["regime"] == 3).sum("start").values
     assert np.array_equal((strip.layers[0].values == 3).sum(axis=0), single)
     assert (strip.layers[0].values[0] == np.where(single > 0, 3, 6)).all()  # stacked from the bottom
-
-
-# One axis.
 
 
 def test_one_axis_gives_line_per_start_above_regimes():
@@ -313,9 +302,6 @@ def test_diagram_of_each_start_is_over_those_of_others():
     assert strip.layers[0].values.shape == (2, 15)
     with pytest.raises(InputError, match="keep_returns"):
         bifurcation(lanes(square(4)))
-
-
-# Motions.
 
 
 def test_unusual_runs_are_drawn_or_refused():
@@ -358,9 +344,6 @@ def test_long_run_on_rock_shows_its_last_blows():
     left, right = (plot.x.limits[0] for plot in panels[:2])
     assert whole.x.limits == (0.0, 1.0) and right - left == pytest.approx(8 / 400, abs=1e-4)
     assert not any(isinstance(layer, Area) and layer.step for plot in panels for layer in plot.layers)
-
-
-# Families.
 
 
 def test_branches_have_stability_and_special_points():
@@ -407,9 +390,6 @@ def test_families_are_laid_over_returns_within_the_axis():
         picture(drawn.swept(), over=one_family().assign_attrs(parameters='{"delta": 0.005}'))
 
 
-# Laws and studies.
-
-
 def test_studies_show_their_numbers():
     shares, pairs = sheet_of(EFFECTS).plots
     alone, total = (layer for layer in shares.layers if isinstance(layer, Bars))
@@ -438,9 +418,6 @@ def test_studies_show_their_numbers():
         chart(ATTRACTORS)
 
 
-# Words of axes and notes.
-
-
 def test_rows_beyond_the_panel_of_a_fit_are_counted():
     """The fitted rows set the limits; the axis counts the failed ones above the panel and at its right."""
     data = {
@@ -453,9 +430,6 @@ def test_rows_beyond_the_panel_of_a_fit_are_counted():
     assert "η = P/D, the mean force over the threshold" in sheet_of(fit).note
     assert plot.x.label == "relief P/D\n2 rows outside the panel"
     assert {"data", "left out of the fit"} <= {*labels(sheet_of(fit))}
-
-
-# Figures and files.
 
 
 def test_user_settings_are_ignored_and_texts_are_not_formulas():

@@ -87,8 +87,6 @@ def test_nothing_is_shown_if_disabled():
         assert stream.getvalue() == ""
 
 
-# Threads that share work
-
 SETTING: ContextVar[int] = ContextVar("SETTING", default=0)
 
 

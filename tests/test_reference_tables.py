@@ -50,9 +50,6 @@ def test_scenes_command(capsys):
     assert capsys.readouterr().err == 'vibrojax: scenes: "rotry" is unknown; did you mean "rotary"?\n'
 
 
-# Values in a wrong unit
-
-
 def warning_text(scene, **parameters):
     """Return the text of the only warning for a point."""
     with pytest.warns(vj.UnusualValue) as caught:

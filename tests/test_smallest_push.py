@@ -1,7 +1,6 @@
 """Test the smallest push out of the working cycle: it leaves, and all smaller ones of a fine scan return."""
 
 import numpy as np
-import pandas as pd
 import pytest
 import xarray as xr
 from refusals import refusal
@@ -122,12 +121,3 @@ def test_push_command(strong_cycle, tmp_path, capsys, monkeypatch):
     stored = vj.open_dataset(tmp_path / "vibro-impact-push.nc")
     np.testing.assert_array_equal(stored.push_x1, strong_cycle.push_x1)
     assert Pushes().summary(stored) == Pushes().summary(strong_cycle)
-
-
-def test_machines_are_arrays_of_any_library():
-    """Arrays that state a unit are converted to SI, as in sweeps."""
-    about = {"gamma": 0.75, "delta": 0.005, "start": "stuck", "scan": 2, "progress": False}
-    expected = vj.smallest_push("vibro-impact", v=[1.5, 1.6], **about)
-    stated = xr.DataArray([1500.0, 1600.0], dims="machine", attrs={"units": "mm/s"})
-    for values in (stated, pd.Series([1.5, 1.6])):
-        xr.testing.assert_allclose(vj.smallest_push("vibro-impact", v=values, **about), expected, rtol=1e-12)

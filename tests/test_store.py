@@ -150,14 +150,6 @@ def test_lock_of_killed_process_is_free(store):
         assert opened.finished() == {1}
 
 
-def test_folder_is_removed_at_end(store):
-    with reopen(store) as opened:
-        opened.remove()
-    assert not store.folder.exists()
-    with reopen(store) as opened:
-        assert opened.finished() == set()
-
-
 def test_foreign_files_are_kept(store):
     note = store.folder / "note.txt"
     note.write_text("mine")

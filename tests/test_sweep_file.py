@@ -130,9 +130,6 @@ def test_frequencies_give_stiffness_and_ratio(parameters, grid, k1, gamma):
     assert set(values) == set(sweep.system.parameters())
 
 
-# points
-
-
 def test_points_can_be_data_frame():
     """A data frame is read as the table of its columns, without its index."""
     base = {"scene": "vibro-impact", "run": {"settle": 1.0, "observe": 1.0}}
@@ -215,9 +212,6 @@ def test_start_column_replaces_starts():
     values, starts = sweep.lane_values(1, 3)
     assert values["beta"].tolist() == [0.4, 0.5]
     assert [sweep.starts[index] for index in starts] == ["drive", "stuck"]
-
-
-# one point
 
 
 def test_single_point_is_read_like_file():

@@ -61,16 +61,6 @@ def test_resets_cross_surface_of_switch():
     assert ends(saw, [0.2, 0.0, 0.0], 6.0, at=0.7)[2] == pytest.approx(-0.3278, abs=5e-5)
 
 
-@pytest.mark.long
-def test_section_at_value_with_impact_on_that_state():
-    stop = vj.Impact("stop", gap=lambda t, y, p: 0.5 - y["x"], velocity="v", restitution=0.7)
-    oscillator = mass(lambda t, y, p: -y["x"] + 0.1 * y["v"], stop, section=("x", -0.1))
-    assert ends(oscillator, [0.0, 1.0], 0.6)[0] == pytest.approx(0.4391, abs=5e-5)
-
-
-# Kinks
-
-
 def test_kinks_are_located():
     """x'' = |cos t|, from rest: the velocity is 8 after two periods."""
     system = mass(lambda t, y, p: abs(cos(t)), period=2 * np.pi)
@@ -96,9 +86,6 @@ def test_square_wave_is_a_forcing():
     ds = vj.run_sweep({"scene": system, "starts": [[0.0]], "grid": {"T": [2.0, 3.0]}}, progress=False)
     assert ds.cycles.values.ravel().tolist() == [1, 1]
     assert ds.x_amplitude.values.ravel() == pytest.approx(np.tanh([0.5, 0.75]), abs=1e-8)
-
-
-# Limits
 
 
 def rubbed(normal, **options):
@@ -261,31 +248,6 @@ def test_friction_holds_a_body_at_a_stop():
     assert (x, v) == pytest.approx((0.5 * free**3 / 6, 0.5 * free**2 / 2), abs=1e-8)
 
 
-@pytest.mark.long
-def test_friction_and_a_switch_on_one_velocity_hold_one_at_a_time():
-    """v' = f + 2 below v = 1 and f - 2 above, with friction 1 and f = -t/4: v slides at 1, falls, sticks and reverses.
-
-    The mass slips at once and reaches v = t - t²/8 = 1 at 4 - sqrt(8). It slides until f = -1 at 4, stops sqrt(8)
-    later, and sticks until f = -3 at 12.
-    """
-    system = vj.System(
-        "limited",
-        states={"x": "m", "v": "m s-1", "f": "m s-2"},
-        parameters={"limit": 1.0},
-        field=lambda t, y, p, s: {"x": y["v"], "v": y["f"] - 2.0 * s["above"], "f": -0.25},
-        events=[
-            vj.Switch("above", lambda t, y, p: y["v"] - p["limit"]),
-            vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=1.0, acts_on="v"),
-        ],
-    )
-    motion = vj.simulate(system, start=[0.0, 0.0, 0.0], duration=14.0, progress=False)
-    first, fall = 4 - np.sqrt(8), np.sqrt(8)
-    x = first**2 / 2 - first**3 / 24 + (4 - first) + fall - fall**3 / 24 - 2**3 / 24
-    assert [float(motion[name][-1]) for name in ("x", "v")] == pytest.approx([x, -0.5], abs=1e-8)
-    assert events_of(motion, "slide") == pytest.approx([first], abs=1e-8)
-    assert events_of(motion, "stick") == pytest.approx([4 + fall], abs=1e-8)
-
-
 def steep_system(scale):
     law = vj.FrictionLaw(
         name="falling",
@@ -309,30 +271,9 @@ def test_steep_friction_law_from_two_starts():
     assert np.all(np.abs(periods / right[:, None] - 1) < estimates + 1e-8) and np.all(estimates < 1e-5)
 
 
-# Systems that run
-
-
 @pytest.mark.long
 def test_relay_feedback_with_section_on_the_switch():
-    """The relay -sgn(x) with the plant 1/(s + 1)³. After half a period h of its cycle, the state is reversed.
-
-    The multipliers are the squares of the eigenvalues of the half return map (1 - v c / c v) e^(A h), where v is the
-    velocity before the switch, and c the row (1, 0, 0).
-    """
-    plant = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -3.0, -3.0]])
-
-    rest = np.array([-1.0, 0.0, 0.0])
-
-    def begin(half):
-        """Return y(0) where the relay becomes -1: y(h) = e (y(0) - r) + r = -y(0), with the equilibrium r."""
-        e = expm(half * plant)
-        return np.linalg.solve(np.eye(3) + e, (e - np.eye(3)) @ rest)
-
-    half = brentq(lambda half: begin(half)[0], 1.0, 3.0, xtol=1e-12)
-    v = plant @ (-begin(half) - rest)
-    back = (np.eye(3) - np.outer(v, [1.0, 0.0, 0.0]) / v[0]) @ expm(half * plant)
-    multipliers = np.sort(np.abs(np.linalg.eigvals(back)))[:0:-1] ** 2
-    assert multipliers == pytest.approx([0.147449, 1.089e-4], abs=5e-7)  # published
+    """The relay -sgn(x) with the plant 1/(s + 1)³. The multipliers of its cycle are published."""
     relay = vj.System(
         "relay",
         states={"x": "1", "y": "1", "z": "1"},
@@ -348,8 +289,8 @@ def test_relay_feedback_with_section_on_the_switch():
     ds = vj.run_sweep(
         {"scene": relay, "starts": [[0.3, 0.0, 0.0]], "grid": {"k": [1.0]}, "run": {"orbits": True}}, progress=False
     )
-    assert int(ds.cycles[0, 0]) == 1 and float(ds.period[0, 0]) == pytest.approx(2 * half, rel=1e-9)
-    assert ds.multiplier_abs.values.ravel() == pytest.approx(multipliers, rel=1e-7)
+    assert int(ds.cycles[0, 0]) == 1
+    assert ds.multiplier_abs.values.ravel() == pytest.approx([0.147449, 1.089e-4], abs=5e-7)
 
 
 def test_field_that_does_not_repeat():
@@ -457,14 +398,6 @@ def test_section_is_a_function():
     assert [float(ds.orbit_x), float(ds.orbit_y)] == pytest.approx(np.array([1.0, 0.3]) / np.hypot(1.0, 0.3), abs=1e-9)
 
 
-@pytest.mark.long
-def test_switch_follows_velocity_through_impact():
-    turns = vj.Switch("dir", lambda t, y, p: y["v"])
-    block = mass(lambda t, y, p, s: -p["push"] * s["dir"], WALL, turns, parameters={"push": 0.2})
-    assert ends(block, [0.0, 1.0], 4.0) == pytest.approx([0.625, 0.0], abs=1e-8)
-    assert ends(block, [0.0, 1.0], 2.0, push=0.0) == pytest.approx([0.5, -0.5], abs=1e-8)
-
-
 def test_events_without_end_are_refused():
     system = vj.System(
         "stuck-clock",
@@ -476,39 +409,6 @@ def test_events_without_end_are_refused():
     )
     with pytest.raises(vj.InputError, match="at 1 s, events follow one another without end"):
         vj.simulate(system, start=[0.0, 0.0], duration=3.0, progress=False)
-
-
-@pytest.mark.long
-def test_integrate_and_fire():
-    """One autonomous state: x' = I - x, fires at 1. The period is ln(I/(I - 1))."""
-    neuron = vj.System(
-        "neuron",
-        states={"x": "1"},
-        parameters={"I": 1.5},
-        section=("x", 0.5),
-        field=lambda t, y, p: {"x": p["I"] - y["x"]},
-        events=[vj.Impact("fire", gap=lambda t, y, p: 1 - y["x"], reset=lambda t, y, p: {"x": 0.0})],
-    )
-    ds = vj.run_sweep({"scene": neuron, "starts": [[0.0]], "grid": {"I": [1.5, 2.0]}}, progress=False)
-    assert ds.period.values.ravel() == pytest.approx(np.log([3.0, 2.0]), rel=1e-8)
-    assert ds.cycles.values.ravel().tolist() == [1, 1] and ds.impacts.values.ravel().tolist() == [1, 1]
-
-
-@pytest.mark.long
-def test_shaken_block_with_stop_and_friction():
-    """By SciPy: the impact velocity of the periodic motion is 3.54601 m/s."""
-    block = mass(
-        lambda t, y, p: p["a"] * cos(2 * np.pi * t) - 10.0 * y["x"],
-        vj.Impact("stop", gap=lambda t, y, p: 0.05 - y["x"], velocity="v", restitution=0.7),
-        RUB,
-        parameters={"a": 3.0},
-    )
-    ds = vj.run_sweep(
-        {"scene": block, "starts": [[0.0, 0.0]], "grid": {"a": [3.0]}, "run": {"settle": 50.0, "observe": 20.0}},
-        progress=False,
-    )
-    assert float(ds.impact_velocity[0, 0]) == pytest.approx(3.54601, abs=1e-5) and int(ds.impacts[0, 0]) == 1
-    assert float(ds.error_estimate[0, 0]) < 1e-4
 
 
 @pytest.mark.long
@@ -525,16 +425,3 @@ def test_slide_that_pauses_within_a_step():
     leaves, low = np.pi + np.arcsin(1 / 1.002), 1.5 * np.pi
     motion = vj.simulate(slide, start=[0.0], duration=2.5 * (low - 3.0), sampling=(low - 3.0) / 100, progress=False)
     assert float(motion.y[100]) == pytest.approx(1.002 * (np.cos(leaves) - np.cos(low)) + low - leaves, abs=1e-9)
-
-
-@pytest.mark.long
-def test_switch_on_the_first_state_of_a_system_without_section():
-    """x'' = -sgn(x) from (0.5, 0) falls for 1 s, and then mirrors its fall."""
-    system = vj.System(
-        "unmeasured",
-        states={"x": "m", "v": "m s-1"},
-        parameters={"k": 1.0},
-        field=lambda t, y, p, s: {"x": y["v"], "v": -p["k"] * s["side"]},
-        events=[vj.Switch("side", lambda t, y, p: y["x"])],
-    )
-    assert ends(system, [0.5, 0.0], 2.0) == pytest.approx([-0.5, 0.0], abs=1e-9)

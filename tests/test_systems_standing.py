@@ -14,17 +14,6 @@ def oscillation(t, y):
     return {"x": y["v"], "v": vj.elementary.cos(2.0 * t) - DAMPING * y["v"] - y["x"]}
 
 
-HELD = vj.System(
-    "held",
-    states=OSCILLATOR | {"x2": "m", "v2": "m s-1"},
-    parameters={"N": 1.0},
-    field=lambda t, y, p: oscillation(t, y) | {"x2": y["v2"], "v2": -0.01 * y["x2"]},
-    period=PERIOD,
-    events=[
-        vj.Friction("base", lambda t, y, p: y["v2"], lambda t, y, p: p["N"], law=0.3, acts_on="v2", mass=lambda p: 1.0)
-    ],
-)
-
 # z decays, and w approaches an equilibrium; some starts have w there at once.
 BESIDE = vj.System(
     "beside",
@@ -70,26 +59,3 @@ def pendulum(name, *events):
 )
 def test_impact_velocity_has_unit_of_rate_of_gap(unit, events):
     assert pendulum("unit", *events).impact_unit == unit
-
-
-@pytest.mark.long
-def test_mass_that_friction_holds_does_not_decide():
-    """Every position of the held mass belongs to an orbit, so that one multiplier is 1."""
-    run = {"orbits": True}
-    starts = [[0.0] * 4, [0.5, 0.0, 0.2, 0.5]]
-    ds = vj.run_sweep({"scene": HELD, "grid": {"N": [1.0]}, "starts": starts, "run": run}, progress=False)
-    assert ds.cycles.values.ravel().tolist() == [1, 1] and set(names_of(ds)) == {"periodic"}
-    assert (ds.orbit_reason == 0).all() and (ds.stable == 1).all()
-    own = [1.0, *np.exp(-PERIOD * np.array([DAMPING / 2, DAMPING / 2, np.inf]))]
-    np.testing.assert_allclose(ds.multiplier_abs.values[0], np.tile(own, (2, 1)), atol=1e-9)
-    assert len(np.unique(ds.orbit_x2)) == 2
-
-
-@pytest.mark.long
-def test_motions_on_standing_states_match_one_attractor():
-    rates = lambda t, y, p: {"x": y["v"], "v": (1 - y["x"] * y["x"]) * y["v"] - y["x"], "z": p["q"] - RATE * y["z"]}  # noqa: E731
-    scene = vj.System("relaxes", states=OSCILLATOR | {"z": "1"}, parameters={"q": 0.3}, field=rates, section="x")
-    starts = [[0.1, 0.0, 0.0], [2.0, 1.0, 3 / 7], [1.0, 0.0, -1.0]]
-    attractors = vj.attractors({"scene": scene, "grid": {"q": [0.0, 0.3]}, "starts": starts}, progress=False)
-    assert attractors.sizes["attractor"] == 1 and (attractors.share == 1).all()
-    assert attractors.attrs["kind"] == "attractors"

@@ -154,13 +154,11 @@ def of_rock(growth, time, impacts, mean_force, p) -> dict[str, float]:
 
 
 def of_penetration(motion: Motion) -> dict[str, float]:
-    """Return the measures over the whole pulses in the observation; for a sweep, over all of the observation."""
+    """Return the measures over the whole pulses in the observation."""
     scene, row, p = motion.scene, motion.scene.row, motion.scene.p
-    begin, end, pulses = motion.observed, motion.end, 0
-    frequency = getattr(scene.pulses, "frequency", None)
-    if frequency:
-        first, last = math.ceil(begin * frequency - 1e-9), math.floor(end * frequency + 1e-9)
-        begin, end, pulses = first / frequency, last / frequency, last - first
+    frequency = scene.pulses.frequency
+    first, last = math.ceil(motion.observed * frequency - 1e-9), math.floor(motion.end * frequency + 1e-9)
+    begin, end, pulses = first / frequency, last / frequency, last - first
     force = total(motion, begin, end, lambda part, t, Y: part.given(t) if part.given else 0 * t)
     growth = np.diff(motion.at([begin, end]) @ row["x4"])[0]
     measures = of_rock(growth, end - begin, pulses, force / (end - begin), p)

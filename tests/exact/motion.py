@@ -10,7 +10,7 @@ from numpy.polynomial import chebyshev
 from exact.flow import swung
 from exact.parameters import parameters
 from exact.polynomials import GAUSS, WEIGHTS, N, first_fall
-from exact.pulses import Pulses, Sweep
+from exact.pulses import Pulses
 from exact.scenes import Phase, Scene
 
 MOST_AT_ONCE = 50
@@ -119,10 +119,7 @@ def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Mo
     """Return a motion of the scene from t = 0 to settle + observe. Pieces before settle are not kept."""
     p = parameters(name, **given)
     if name == "penetration" and pulses is None:
-        if p.pulse_shape == "sweep":
-            pulses = Sweep(p.force, p.sweep_start, p.sweep_rate, p.bias)
-        else:
-            pulses = Pulses(p.force, p.frequency, p.pulse_width, p.pulse_shape)
+        pulses = Pulses(p.force, p.frequency, p.pulse_width, p.pulse_shape)
     scene = Scene(name, p, pulses)
     motion = Motion(scene, settle, settle + observe, scene.sizes())
     t, y = 0.0, initial(scene, start)

@@ -11,7 +11,6 @@ CONTACT = {"k0": 50e6, "c0": 0.1, "delta": -0.005}  # R3
 SANDSTONE = {"threshold": 61.9e3, "k3": 100.68e6}
 PENETRATION = {"m1": 250.0, "force": 200e3, "frequency": 20.0, "threshold": 150e3, "k3": 300e6, "zeta": 1.1}
 PENETRATION |= {"pulse_width": 4e-3, "pulse_shape": "rectangular"}  # R10
-PENETRATION |= {"sweep_start": None, "sweep_rate": None, "bias": None}
 DEFAULTS = {
     "rotary": DRILL,
     "vibro-impact": DRILL | CONTACT,

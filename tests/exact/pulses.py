@@ -25,20 +25,3 @@ class Pulses:
         if self.pulse_shape == "rectangular":
             return lambda times: self.force + 0 * times, end
         return lambda times: self.force * np.sin(np.pi * (times - begin) / self.pulse_width), end
-
-
-@dataclass
-class Sweep:
-    """The force bias + force sin 2 pi (sweep_start t + sweep_rate t^2/2)."""
-
-    force: float
-    sweep_start: float
-    sweep_rate: float
-    bias: float
-
-    def since(self, t: float) -> tuple[Callable | None, float]:
-        def force(times):
-            turns = self.sweep_start * times + self.sweep_rate * times**2 / 2
-            return self.bias + self.force * np.sin(2 * np.pi * turns)
-
-        return force, math.inf

@@ -5,14 +5,13 @@ The README beside this file has the table of the cases that are marked `long`.
 
 import numpy as np
 import pytest
-from cases import DRILL, ROCK, USUAL, bound_of, columns, lanes, reference, verdict
+from cases import DRILL, GRAZED, ROCK, USUAL, bound_of, columns, lanes, reference, verdict
 
 import vibrojax as vj
-from vibrojax.lanes.labels import too_stiff_or_slow
 
 SHORT = {
     "gap and preload": [{"delta": -0.02}],
-    "grazing": DRILL["grazing"][1:],
+    "grazing": [{"delta": GRAZED + by} for by in (-1e-9, -1e-12, 0.0, 1e-12, 1e-9)],
     "coinciding switches": [{"delta": 0.0, "v": 2.0, "c0": 1e4}],
     "start on a surface": [{"delta": 0.0, "start": "drive", "c0": 0.0}],
     "subnormal numbers": [{"v": 5e-324}, {"delta": 5e-324}],
@@ -28,7 +27,7 @@ PULSES = {"zeta": 1.1, "threshold": 150e3, "k3": 300e6}
 # Scene, cases, usual point, precision, observed time [s], bound of the relative deviation, lanes by verdict (README).
 # With pulses, lanes settle for 0.1 s: the package does not count the pulse at t = 0.
 SETS = [
-    ("vibro-impact", SHORT, USUAL, "float64", 0.5, 1e-5, {"exact": 15, "refused": 1, "flagged": 1}),
+    ("vibro-impact", SHORT, USUAL, "float64", 0.5, 1e-5, {"exact": 18, "refused": 1, "flagged": 1}),
     ("vibro-impact", DRILL, USUAL, "float64", 1.2, 1e-5, {"exact": 48, "refused": 4, "flagged": 1}),
     ("vibro-impact", DRILL, USUAL, "float32", 1.2, 3e-3, {"exact": 46, "refused": 6, "flagged": 1}),
     ("drilling", ROCK, ON_ROCK, "float64", 1.0, 1e-5, {"exact": 9}),
@@ -54,7 +53,7 @@ def test_exact_or_reported(number):
     found = {}
     for index, (case, changes) in enumerate(lanes(cases)):
         measured = reference(scene, usual | changes, observe, settle)
-        kind, remark = verdict(dataset.isel(point=index), measured, bound_of(case, changes, bound, precision))
+        kind, remark = verdict(dataset.isel(point=index), measured, bound_of(changes, bound, precision))
         found.setdefault(kind, []).append((case, changes, remark))
     assert {kind: len(of_kind) for kind, of_kind in found.items()} == expected, found
     if number == 0:
@@ -72,22 +71,3 @@ def test_failed_lane_does_not_affect_neighbours(short):
     flags = short.regime.attrs["flag_meanings"].split()
     assert [flags[flag] for flag in failed.regime.values] == ["failed"]
     assert np.isnan(failed.period.values).all() and failed.cycles.values.tolist() == [0]
-
-
-@pytest.mark.parametrize("changes", [{"c2": 1e10}, {"beta": 1e-12}, {"k1": 1e30}, {"c0": 1e300}])
-def test_too_stiff_lane_is_refused(changes):
-    """Nothing moves in a step of 1e-12 s, but the lane must not be labelled an equilibrium."""
-    sweep = vj.read_sweep(
-        {"scene": "vibro-impact", "starts": ["stuck"], "points": {n: [x] for n, x in changes.items()}}
-    )
-    assert too_stiff_or_slow(sweep.system, sweep.run, sweep.inputs().parameters)[0].tolist() == [True]
-    usual = vj.read_sweep({"scene": "vibro-impact", "starts": ["stuck"], "grid": {"k0": [1e6, 50e6, 1e12]}})
-    assert not too_stiff_or_slow(usual.system, usual.run, usual.inputs().parameters)[0].any()
-
-
-def test_motion_below_rounding_is_refused():
-    """In float32 a drive of 1e-6 m/s looks like one at rest. A drive at rest is accepted, as is one in float64."""
-    grid = {"scene": "vibro-impact", "starts": ["stuck"], "grid": {"v": [0.0, 1e-6, 1.5]}}
-    for precision, expected in (("float32", [False, True, False]), ("float64", [False] * 3)):
-        sweep = vj.read_sweep(grid | {"run": {"precision": precision}})
-        assert too_stiff_or_slow(sweep.system, sweep.run, sweep.inputs().parameters)[1].tolist() == expected

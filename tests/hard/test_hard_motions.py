@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from cases import ROCK, USUAL, lanes
 from exact.measures import sections
-from refusals import command_refusal, refusal
+from refusals import refusal
+from systems import events_of
 
 import vibrojax as vj
 
@@ -90,9 +91,7 @@ def test_returns_armed_within_one_step():
     lane = swept_lane(AT_THE_GAP, "drive", settle=0.0, observe=1.2)
     assert float(lane.period) == pytest.approx((expected[-1] - expected[0]) / 3, rel=1e-5)
     motion = vj.simulate("vibro-impact", **AT_THE_GAP, start="drive", duration=1.2, sampling=1e-2, progress=False)
-    section = motion.event_kind.flag_meanings.split().index("section")
-    times = motion.event_time.values[motion.event_kind.values == section]
-    np.testing.assert_allclose(times, expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(events_of(motion, "section"), expected, rtol=0, atol=1e-5)
 
 
 # Trajectories that need too much, with the amount and a remedy
@@ -103,7 +102,6 @@ TOO_LONG = r"simulate: duration: \S+ s need about \S+ steps.*; there is room for
 def test_refused_before_any_work():
     for scene, settings, message in (
         ("vibro-impact", {"duration": 1e12}, TOO_LONG),
-        ("rotary", {"duration": 1e12, "method": "diffrax"}, TOO_LONG),
         ("rotary", {"duration": 20.0, "step": 1e-12}, TOO_LONG + ", a longer step or a greater error"),
         (
             "rotary",
@@ -115,9 +113,3 @@ def test_refused_before_any_work():
     ):
         line = refusal(vj.simulate, scene, **settings, progress=False)
         assert re.match(message, line), line
-
-
-def test_command_refuses_in_one_line(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    line = command_refusal(capsys, "simulate", "rotary", "duration=1e12")
-    assert re.fullmatch(TOO_LONG, line) and list(tmp_path.iterdir()) == []

@@ -43,17 +43,6 @@ def test_references_are_whole_addresses(monkeypatch, tmp_path):
     assert references(code) and set(references(code)) == {WHOLE_ADDRESS}
 
 
-def test_kernel_without_lanes_writes_nothing():
-    """It once wrote a group of lanes behind its empty results."""
-    x = np.linspace(0.1, 2.0, 9)
-    kernel = Kernel(lambda x: x + 1.0, x)
-    assert kernel(np.empty(0)).shape == (0,)
-    given, result, index, workspace = np.ones(64), np.zeros(64), np.zeros(64, np.int64), np.zeros(8192, np.uint8)
-    pointers = np.array([given.ctypes.data, result.ctypes.data], np.uintp)
-    kernel.code(pointers.ctypes.data, -(-workspace.ctypes.data // 1024) * 1024, index.ctypes.data, 0, 64)
-    assert not result.any()
-
-
 DTYPES = {"float64": 1.5, "float32": 1.5, "int8": 3, "int16": 3, "bool": True}
 
 
@@ -89,14 +78,6 @@ def test_wrong_index_writes_nothing(lanes):
     with pytest.raises(IndexError, match="lanes"):
         bound(np.array(lanes))
     assert (bound.results == 7.0).all()
-
-
-def test_arrays_of_other_lengths_are_refused():
-    x = np.ones((2, 9))
-    kernel = Kernel(lambda x, y: x + y, x, x)
-    for y in (np.ones((2, 8)), np.ones((1, 9)), np.ones(9)):
-        with pytest.raises(ValueError, match="shapes"):
-            kernel(x, y)
 
 
 class Pair(NamedTuple):

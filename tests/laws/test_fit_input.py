@@ -42,9 +42,6 @@ def refused(data, *arguments, **named) -> str:
     return line
 
 
-# datasets
-
-
 @pytest.mark.parametrize(
     ("data", "named", "line"),
     [
@@ -57,9 +54,6 @@ def refused(data, *arguments, **named) -> str:
 )
 def test_wrong_data_are_refused(data, named, line):
     assert line in refused(data, **named)
-
-
-# rig data
 
 
 def test_datasets_are_converted_from_the_units_that_they_state():
@@ -89,9 +83,6 @@ def test_columns_define_groups(tmp_path):
     assert fit_rop(path, progress=False).sel(form="onset").used.item() == 14
     assert 'by: "rok" is not a column of the data; did you mean "rock"?' in refused(path, by="rok")
     assert 'by: "force" is not a column of the data: the data are not a table' in refused(sweep(), by="force")
-
-
-# columns and units
 
 
 D, ONSET = 150e3, 0.08
@@ -179,9 +170,6 @@ def test_unit_factors():
     assert factor("1000 lbf", "N") == factor("klbf", "N") and factor("kN/" * 700 + "m", "N") is None
     assert split_unit("ROP (m/h)") == ("ROP", "m/h") and split_unit("WOB (mean) [kN]") == ("WOB (mean)", "kN")
     assert split_unit("rate_of_penetration") == ("rate_of_penetration", None) and split_unit("x_1") == ("x_1", None)
-
-
-# the command
 
 
 def test_command_prints_tables_and_writes_fit(tmp_path, monkeypatch, capsys):

@@ -47,7 +47,7 @@ def test_stick_slip_of_a_sine_is_its_relative_amplitude():
     assert np.isnan(torque_stick_slip(10 * time, np.ones_like(time))).all()
 
 
-def test_command_draws_tracks_and_tells_the_planted_founder_point(log, tmp_path, capsys, monkeypatch):
+def test_command_draws_tracks_and_tells_the_planted_founder_point(log, tmp_path, capsys):
     out = tmp_path / "rig.nc"
     assert main(["rig", str(log[0]), "--columns", "bit_diameter=8.5 in", "-o", str(out), "--quiet"]) == 0
     ds = vj.open_dataset(out)
@@ -65,9 +65,6 @@ def test_command_draws_tracks_and_tells_the_planted_founder_point(log, tmp_path,
     assert main(["info", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "founder point" in printed and "not percussive data" in printed
-    # Another result is refused before the log is read again.
-    monkeypatch.setattr("vibrojax.studies.rig_analysis.read_log", None)
-    monkeypatch.setattr("vibrojax.studies.rop_law.read_log", None)
     for command in ("rig", "fit"):
         assert main([command, str(log[0]), "-o", str(out)]) == 2
         assert "rig.nc: holds another result: " in capsys.readouterr().err

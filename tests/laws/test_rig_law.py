@@ -22,9 +22,6 @@ def fit_quietly(data, **more):
     return fit_rop(data, progress=False, **more)
 
 
-# trials
-
-
 @pytest.mark.parametrize("case", ["D unknown, falls", "literal, no founder"])
 def test_planted_laws_are_recovered(case):
     right, wrong, of_c, _, of_founder = trials(8, **CASES[case])
@@ -61,9 +58,6 @@ def test_leaving_out_a_block_is_exact_for_linear_forms():
         kept = block != index
         without, *_ = np.linalg.lstsq(whiten(x, decay)[kept], whiten(rate / rate.max(), decay)[kept])
         np.testing.assert_allclose(residual[~kept], (x @ without - rate / rate.max())[~kept], rtol=1e-6)
-
-
-# founder weights and wrong rows
 
 
 def log(weight, rate, **more):
@@ -149,9 +143,6 @@ def test_one_wrong_weight_does_not_decide(spike):
     assert '"lines": "11"' in dropped  # of the file: the tenth row below the names
 
 
-# files
-
-
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     return rig_logs.write_all(tmp_path_factory.mktemp("logs"))
@@ -177,9 +168,6 @@ def test_unknown_threshold_keeps_determined_quantities(logs):
         path = logs["rigcloud"].with_name("relief.csv")
         path.write_text("relief,rate_of_penetration\n1,1e-3\n")
         fit_quietly(path, columns={"threshold": "unknown"})
-
-
-# the command
 
 
 def test_command_reports_rows_and_chosen_form(logs, tmp_path, monkeypatch, capsys):

@@ -188,9 +188,6 @@ def test_columns_that_are_not_needed_never_stop_a_fit(tmp_path):
         read_log(tmp_path / "log.csv")
 
 
-# rows that are dropped
-
-
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     return rig_logs.write_all(tmp_path_factory.mktemp("logs"))

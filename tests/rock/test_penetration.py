@@ -38,14 +38,6 @@ def expected(shape, name):
     return np.array([case["expected"][name] for case in cases_of(shape)])
 
 
-def test_all_cases_run(datasets):
-    """There are 24 cases. In both shapes some slip and some do not."""
-    assert sum(dataset.sizes["point"] for dataset in datasets.values()) == len(CASES) == 24
-    for shape, dataset in datasets.items():
-        assert not dataset.status.any(), shape
-        assert {slip > 0 for slip in expected(shape, "slip_per_pulse")} == {True, False}
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_measures(datasets, shape):
     """P = A w f for rectangular pulses, times 2/pi for half-sines, eta = P/D, and ROP = s f (R8, in true units)."""
@@ -195,12 +187,6 @@ def test_multipliers_under_constant_contact_do_not_depend_on_pulses(orbits):
     expected = np.sort(np.exp(np.roots([M1, 2 * zeta * np.sqrt(M1 * k3), k3]) / frequency))[::-1]
     for dataset in (orbits, run_points(pulse_shape="half-sine")):
         np.testing.assert_allclose(dataset.multiplier_abs[0], expected, rtol=1e-9)
-
-
-def test_variables_of_orbits(orbits):
-    assert "period" not in orbits and "cycles" not in orbits
-    assert {"orbit_compression", "orbit_v3", "grazing_margin"} <= set(orbits.data_vars)
-    assert {"multiplier_abs", "orbit_v3"} <= set(vj.list_variables("penetration").index)
 
 
 def test_margin_is_the_least_compression_whatever_the_rounding_errors():

@@ -73,7 +73,6 @@ def test_rock_as_an_axis():
     "sweep", [{"scene": "penetration", "grid": {"rock": ["basalt"]}}, {"scene": "penetration", "grid": {"rock": []}}]
 )
 def test_wrong_rocks_are_refused(sweep):
-    """The error is one line that names the key."""
     assert "rock" in refusal(read_sweep, sweep)
 
 

@@ -1,4 +1,4 @@
-"""Find dead links in a folder of HTML pages, and resources from other sites: `python tests/links.py build/site`."""
+"""Find dead links in a folder of HTML pages, and resources from other sites: `python .ci/links.py build/site`."""
 
 import sys
 from html.parser import HTMLParser
