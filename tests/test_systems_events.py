@@ -213,6 +213,31 @@ def test_two_surfaces_that_change_each_others_sliding():
 
 
 @pytest.mark.long
+def test_friction_and_a_switch_on_one_velocity_hold_one_at_a_time():
+    """v' = f + 2 below v = 1 and f - 2 above, with friction 1 and f = -t/4: v slides at 1, falls, sticks and reverses.
+
+    The mass slips at once and reaches v = t - t²/8 = 1 at 4 - sqrt(8). It slides until f = -1 at 4, stops sqrt(8)
+    later, and sticks until f = -3 at 12.
+    """
+    system = vj.System(
+        "limited",
+        states={"x": "m", "v": "m s-1", "f": "m s-2"},
+        parameters={"limit": 1.0},
+        field=lambda t, y, p, s: {"x": y["v"], "v": y["f"] - 2.0 * s["above"], "f": -0.25},
+        events=[
+            vj.Switch("above", lambda t, y, p: y["v"] - p["limit"]),
+            vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=1.0, acts_on="v"),
+        ],
+    )
+    motion = vj.simulate(system, start=[0.0, 0.0, 0.0], duration=14.0, progress=False)
+    first, fall = 4 - np.sqrt(8), np.sqrt(8)
+    x = first**2 / 2 - first**3 / 24 + (4 - first) + fall - fall**3 / 24 - 2**3 / 24
+    assert [float(motion[name][-1]) for name in ("x", "v")] == pytest.approx([x, -0.5], abs=1e-8)
+    assert events_of(motion, "slide") == pytest.approx([first], abs=1e-8)
+    assert events_of(motion, "stick") == pytest.approx([4 + fall], abs=1e-8)
+
+
+@pytest.mark.long
 def test_sliding_on_two_switches_with_a_product_ends_with_a_reason():
     system = vj.System(
         "product",
