@@ -1,4 +1,4 @@
-"""Comparison of random hybrid systems with the package: `vj.System` from a description, and trajectories.
+"""Comparison of random hybrid systems with the package: `vj.System` from a description, trajectories and sweeps.
 
 A trajectory is compared up to the reference's first doubtful point. It ends earlier where the motion is sensitive: two
 integrations from starts that differ by 1e-8 show the growth of perturbations. As long as it is at most `GROWTH`, the
@@ -163,3 +163,80 @@ def built(described: Described) -> Any:
         return system_of(described)
     except vj.InputError as error:
         return str(error)
+
+
+MOST_CYCLES = 8
+REPEATS = 1e-8
+"""Greatest difference of the reference's states one repeat apart, in a motion that is periodic."""
+
+
+def long_run(described: Described, p: dict[str, float], start: list[float], settle: float) -> dict[str, float] | str:
+    """Return the measures of a forced system's motion after a settling time [s], or the reason why there are none.
+
+    They are returns in a repeat, period [s], impacts in a repeat and their mean velocity. A motion that rests on a stop
+    has the first two only: the slowest bounces before are a matter of convention.
+    """
+    period = 2 * np.pi / p["omega"]
+    first = int(np.ceil(settle / period))
+    times = np.arange(first + 2 * MOST_CYCLES + 1) * period
+    motion = Hybrid(described, p).run(start, times)
+    if np.isfinite(motion.doubt[0]):
+        return motion.doubt[1]
+    last = motion.states[first:]
+    bound = REPEATS * max(1.0, np.abs(last).max())
+    repeats = [n for n in range(1, MOST_CYCLES + 1) if np.abs(last[n:] - last[:-n]).max() <= bound]
+    if not repeats:
+        return "not periodic"
+    cycles = repeats[0]
+    happened = [(kind, speed) for t, _, kind, speed in motion.events if times[-1] - cycles * period < t <= times[-1]]
+    speeds = [speed for kind, speed in happened if kind == "impact"]
+    measures = {"cycles": float(cycles), "period": cycles * period}
+    if all(kind != "rest" for kind, _ in happened):
+        measures |= {"impacts": float(len(speeds))} | ({"impact_velocity": float(np.mean(speeds))} if speeds else {})
+    return measures
+
+
+def compare_sweep(
+    described: Described, points: list[dict[str, float]], start: list[float], settle: float
+) -> list[Verdict]:
+    """Compare a sweep over points of a forced system with the reference's long runs, one verdict per point.
+
+    Certified lanes must have the reference's cycles and impacts, and period and impact velocity within
+    max(4 error_estimate, 1e-6). Where the reference is doubtful or not periodic, nothing is compared.
+    """
+    try:
+        ds = vj.run_sweep(
+            {
+                "scene": system_of(described),
+                "points": {name: [p[name] for p in points] for name in described.ranges},
+                "starts": [start],
+                "run": {
+                    "settle": settle,
+                    "observe": 4 * MOST_CYCLES * 2 * np.pi / min(p["omega"] for p in points),
+                    "error": 1e-6,
+                },
+            },
+            progress=False,
+        )
+    except vj.InputError as error:
+        return [Verdict("refused", remark=str(error))] * len(points)
+    reasons = ds.reason.attrs["flag_meanings"].split()
+    verdicts = []
+    for index, p in enumerate(points):
+        lane = {name: np.ravel(ds[name].values)[index] for name in ds.data_vars if ds[name].size == len(points)}
+        expected, estimate = long_run(described, p, start, settle), float(lane["error_estimate"])
+        if lane["reason"]:
+            verdicts.append(Verdict("refused", remark=reasons[lane["reason"]]))
+        elif isinstance(expected, str):
+            verdicts.append(Verdict("doubtful", remark=expected))
+        elif not estimate <= 1e-4:
+            verdicts.append(Verdict("refused", remark=f"not certified: error_estimate {estimate:.2g}"))
+        else:
+            exact = ("cycles", "impacts")
+            faults = [
+                f"{name} {lane[name]:.9g}, not {right:.9g}"
+                for name, right in expected.items()
+                if name in lane and not abs(lane[name] - right) <= (name not in exact) * max(4 * estimate, 1e-6) * right
+            ]
+            verdicts.append(Verdict("WRONG" if faults else "agree", remark=", ".join(faults)))
+    return verdicts

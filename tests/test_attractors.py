@@ -82,6 +82,15 @@ def test_numbers_continue_along_axes(attractors):
     assert not below & set(next(iter(numbers.values())))
 
 
+@pytest.mark.long
+def test_result_does_not_depend_on_direction_of_axes(attractors):
+    grid = {name: x[::-1] for name, x in SWEEP["grid"].items()}
+    other = vj.attractors(SWEEP | {"grid": grid}, progress=False)
+    other = other.isel(beta=slice(None, None, -1), gamma=slice(None, None, -1))
+    for name in attractors.data_vars:
+        np.testing.assert_array_equal(attractors[name], other[name])
+
+
 def test_doubled_orbit_keeps_its_number(attractors):
     before, after = present(attractors, beta=0.4, gamma=0.35), present(attractors, beta=0.4, gamma=0.3625)
     assert (int(before.cycles[0]), int(after.cycles[0])) == (2, 4)
@@ -227,6 +236,20 @@ def test_bursting_motion_is_one_attractor(bursting):
     assert irregular_shares(attractors) == [2 / 32] and attractors.unassigned.sum() == 0
     number = int(attractors.lane_attractor.values.ravel()[26])
     assert attractors.period.values.ravel()[number] == pytest.approx(0.270, rel=0.1)  # over 2,048 s of either lane
+
+
+@pytest.mark.long
+def test_two_irregular_motions_at_one_point_are_separated():
+    """Their impact velocities are 0.54 and 0.23 m/s over 800 s."""
+    grid = {"beta": [1.1], "gamma": [0.5]}
+    attractors = vj.attractors(DRILL | starts(16, 0) | {"grid": grid, "run": {"settle": 100.0}}, progress=False)
+    share = irregular_shares(attractors)
+    assert len(share) == 2 and share[1] == 0.25
+    velocity = np.sort(attractors.impact_velocity.values[0, 0, : len(share)])
+    np.testing.assert_allclose(velocity, [0.235, 0.54], rtol=0.1)
+
+
+# Synthetic windows
 
 
 def windows_of(total, count=None, cycles=0.0):

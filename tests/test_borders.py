@@ -108,6 +108,26 @@ def test_default_map_matches_documented_values():
     assert 0.378 < beta[best & with_gap].min() < 0.384
 
 
+@pytest.mark.long
+def test_continued_borders_do_not_depend_on_the_grid():
+    """Two grids without a common inner line give borders that cross lines of the plane at the same points."""
+    crossings, origins = [], []
+    for count in (4, 5):
+        grid = {"gamma": {"start": 0.38, "stop": 0.52, "num": count}, "beta": {"start": 0.4, "stop": 0.8, "num": count}}
+        ds = vj.borders(SWEEP | {"parameters": {"delta": 0.005}, "grid": grid}, at={"beta": 0.57}, progress=False)
+        of_any_start = ds.start.values[ds.crossing_curve.values] == "any"
+        assert (ds.continued.values[ds.crossing_curve.values] == 1).all() and set(ds.crossing_beta.values) == {0.57}
+        points = zip(kinds(ds)[ds.crossing_curve.values], ds.crossing_gamma.values, strict=True)
+        crossings.append(sorted(point for point, is_any in zip(points, of_any_start, strict=True) if is_any))
+        origins.append(ds.attrs["begun_from"])
+        assert (np.isnan(ds.seed_gamma.values) == (ds.continued.values == 0)).all()
+        basins = np.isin(kinds(ds), ("basin", "not-settled"))
+        assert not ds.continued.values[basins].any()
+    assert [kind for kind, _ in crossings[0]] == [kind for kind, _ in crossings[1]] and crossings[0]
+    np.testing.assert_allclose([x for _, x in crossings[0]], [x for _, x in crossings[1]], rtol=1e-8)
+    assert "grid of 4 x 4" in origins[0] and "grid of 5 x 5" in origins[1]
+
+
 def test_lines_outside_the_plane_are_refused(sweep):
     with pytest.raises(InputError, match=r"is not between 0\.3 and 0\.5"):
         vj.borders(sweep, at={"beta": 0.6}, progress=False)
@@ -136,3 +156,17 @@ def test_command(command, capsys, monkeypatch):
     assert main(["info", "map-borders.nc"]) == 0 and "% of the plane" in capsys.readouterr().out
     assert main(["borders", "map.nc", "--axes", "gamma"]) == 2
     assert "not a pair" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_wedge_between_points_of_the_grid_is_closed():
+    """At beta = 0.4 the wedge between the torus of one orbit and the stick of another is 0.008 wide in gamma.
+
+    The grid's nearest point in the wedge is at beta = 0.46.
+    """
+    grid = {"beta": [0.34, 0.4, 0.46], "gamma": [0.55, 0.6, 0.65, 0.7]}
+    ds = vj.borders(SWEEP | {"parameters": {"delta": 0.005}, "grid": grid}, at={"beta": 0.4}, progress=False)
+    crossed = ds.crossing_curve.values
+    own = ds.start.values[crossed] == "any"
+    found = dict(zip(kinds(ds)[crossed[own]].tolist(), ds.crossing_gamma.values[own].tolist(), strict=True))
+    assert found == {"torus": pytest.approx(0.61473, abs=1e-5), "stick": pytest.approx(0.62294, abs=1e-5)}

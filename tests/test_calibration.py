@@ -331,6 +331,36 @@ def test_observed_impact_velocities_are_converted_to_the_unit_of_the_system():
         assert read.problem.values.item() == pytest.approx(0.7, rel=1e-15)
 
 
+def squared_distance(fit, truth):
+    """Return the squared distance from the truth in standard errors, chi-squared with two degrees of freedom."""
+    stderr, deviation = fit.estimate_stderr.values, fit.estimate.values - [*truth.values()]
+    return deviation @ np.linalg.solve(fit.correlation.values * np.outer(stderr, stderr), deviation)
+
+
+@pytest.mark.long
+def test_standard_errors_cover_true_parameters(motion):
+    rng, exact = np.random.default_rng(1), _runs(motion)
+    errors = {name: 2e-3 * float(np.abs(motion[name]).mean()) for name in OBSERVED}
+    distances = []
+    for _ in range(10):
+        noisy = {name: exact[name] + error * rng.standard_normal(len(SPEEDS)) for name, error in errors.items()}
+        distances.append(squared_distance(_calibrated({"v": SPEEDS} | noisy, error=errors, draws=2), TRUE_VALUES))
+    # The mean is 2 and its standard error is sqrt(4/10). The test allows four standard errors.
+    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 10)
+
+
+@pytest.mark.long
+def test_standard_errors_of_a_noisy_velocity_cover_the_truth(history):
+    rng, noise, distances = np.random.default_rng(20260102), 0.005, []
+    for _ in range(20):
+        noisy = history[["v1"]].assign(v1=history.v1 + noise * rng.standard_normal(history.sizes["time"]))
+        fit = from_history({"data": noisy, "window": [0.0, 0.5], "start": "stuck"}, searches=1, draws=2)
+        assert float(fit.noise) * np.sqrt(np.mean(fit.observed.values**2)) == pytest.approx(noise, rel=0.3)
+        distances.append(squared_distance(fit, FRICTION))
+    # The mean is 2 and its standard error is sqrt(4/20). The test allows four standard errors.
+    assert abs(np.mean(distances) - 2) < 4 * np.sqrt(4 / 20)
+
+
 @pytest.mark.long
 def test_law_without_a_rate_at_any_observation_is_refused():
     """Blows whose mean force stays below the threshold penetrate, but C ln(P/D) is negative there."""

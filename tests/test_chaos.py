@@ -10,11 +10,22 @@ from systems import IMPACT_OSCILLATOR, lorenz, oscillator_orbits
 import vibrojax as vj
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import IRREGULAR
-from vibrojax.periodic.growth import exponents, zero_one
+from vibrojax.periodic.growth import exponents, grow, zero_one
 
 GAP = {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"delta": 0.005}}
 # One irregular, one quasi-periodic and two periodic lanes (see test_natures).
 LANES = GAP | {"points": {"beta": [0.5, 0.5, 0.4, 0.3], "gamma": [0.7, 0.67, 0.59, 0.6]}, "run": {"lyapunov": True}}
+
+
+def roessler(t, y, p):
+    return {"x": -y["y"] - y["z"], "y": y["x"] + 0.2 * y["y"], "z": 0.2 + y["z"] * (y["x"] - 5.7)}
+
+
+def duffing(t, y, p):
+    return {"x": y["v"], "v": -0.3 * y["v"] + y["x"] - y["x"] ** 3 + p["a"] * vj.elementary.cos(1.2 * t)}
+
+
+FLOWS = {"roessler": (roessler, "xyz", {"section": "x"}), "duffing": (duffing, "xv", {"period": 2 * np.pi / 1.2})}
 
 
 @pytest.fixture(scope="module")
@@ -22,11 +33,15 @@ def lanes_of_each_nature():
     return vj.run_sweep(LANES, progress=False).squeeze("start")
 
 
-def test_lorenz():
-    """Compare the mean of some lanes with 0.9056 (Sprott, Chaos and Time-Series Analysis, 2003)."""
+CURVED = lambda t, y, p: y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0)  # noqa: E731
+
+
+@pytest.mark.parametrize("section", ["w", pytest.param(CURVED, marks=pytest.mark.long)], ids=["plane", "curved"])
+def test_lorenz(section):
+    """Compare the mean of some lanes with 0.9056 (Sprott, Chaos and Time-Series Analysis, 2003), on any section."""
     starts = {"sample": "random", "count": 8, "seed": 0, "box": {"x": [1, 10], "y": [1, 10], "w": [-10, 10]}}
     run = {"settle": 20.0, "observe": 20.0, "lyapunov": True}
-    tables = {"scene": lorenz("w"), "grid": {"r": [28.0]}, "starts": starts, "run": run}
+    tables = {"scene": lorenz(section), "grid": {"r": [28.0]}, "starts": starts, "run": run}
     lanes = vj.run_sweep(tables, progress=False)
     assert abs(float(lanes.lyapunov.mean()) / 0.9056 - 1) < 0.015
     assert (lanes.nature == NATURES.index("chaotic")).all() and (lanes.zero_one > 0.9).all()
@@ -153,3 +168,21 @@ def test_unsuitable_sweep_is_refused_in_one_line():
         ),
     ):
         assert line in refusal(vj.read_sweep, {"scene": "vibro-impact", "grid": {"gamma": [0.7]}} | tables)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FLOWS)
+def test_error_of_exponents_of_flows(name):
+    """The mean over all lanes is known ten times better than the exponent of one. (Lorenz: `test_lorenz`.)"""
+    field, states, more = FLOWS[name]
+    units = dict.fromkeys(states, "1")
+    scene = vj.System(f"exponent-{name}", states=units, parameters={"a": 0.5}, field=field, **more)
+    starts = {"sample": "random", "count": 100, "seed": 0, "box": {key: [0.1, 0.9] for key in states}}
+    run = {"settle": 100.0, "observe": 60.0, "keep_returns": 2}
+    lanes = vj.run_sweep({"scene": scene, "starts": starts, "run": run}, progress=False)
+    sweep = vj.read_sweep({"scene": scene, "grid": {"a": [0.5]}})
+    returns = sweep.system.return_states
+    state = np.stack([lanes[f"return_{name}"].values.reshape(100, -1)[:, -1] for name in returns])
+    growth = grow(sweep.system, {"a": np.full(100, 0.5)}, state, np.ones_like(state), np.ones_like(state), 2048)
+    inside, _ = covered(growth.rate, growth.time, growth.rate.sum() / growth.time.sum())
+    assert 0.9 <= inside <= 0.98

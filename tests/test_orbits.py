@@ -51,6 +51,16 @@ def test_reference_cases(cases, index):
     assert np.abs(states - expected["section"]).max(axis=1).min() < 1e-8
 
 
+def test_sticking_makes_a_multiplier_zero(cases):
+    sticks = cases.stick_fraction.values > 0
+    assert sticks.any() and not sticks.all()
+    assert (cases.multiplier_abs.values[sticks, -1] < 1e-12).all()
+    assert (cases.multiplier_abs.values[~sticks, -1] > 1e-3).all()
+
+
+# Other scenes
+
+
 def test_multipliers_of_rock():
     points, soft = {"beta": [0.3, 0.4], "gamma": [0.7, 0.75]}, {"threshold": [2e4, 2e4]}
     drill, one_way, coupled = (
@@ -94,6 +104,9 @@ def test_coupled_rock_matches_exact_motion():
         assert (lane.multiplier_abs[-1] < 1e-12) == (index > 0)
 
 
+# Replaced features, and refused orbits
+
+
 def test_irregular_and_failed_lanes_have_no_orbit():
     tables = {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON}
     irregular = vj.run_sweep(tables, progress=False)
@@ -101,6 +114,9 @@ def test_irregular_and_failed_lanes_have_no_orbit():
     stiff = SMALL | {"parameters": {"k0": 1e30}, "run": ORBITS | SOON, "unusual": True}
     refused = vj.run_sweep(stiff, progress=False)
     assert (refused.status != 0).all() and (refused.orbit_reason == REFUSED).all() and (refused.stable == -1).all()
+
+
+# Commands and files
 
 
 @pytest.fixture(scope="module")

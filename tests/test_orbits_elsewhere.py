@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from systems import BALL, IMPACT_OSCILLATOR, mass, oscillator_grazes, oscillator_orbits
+from systems import BALL, IMPACT_OSCILLATOR, mass, one_state, oscillator_grazes, oscillator_orbits
 
 import vibrojax as vj
 from vibrojax.io.variables import ORBIT_REASONS
@@ -12,6 +12,14 @@ OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 R = 0.7
 GRAZE = oscillator_grazes(**OSCILLATOR)
 cos = vj.elementary.cos
+
+
+def halves(t, y, p, s):
+    """The example `piecewise` of COCO: r' = r (1 - r), phi' = 1 on the left; r' = (2 - r) r, phi' = ga + 2 - r."""
+    r = vj.elementary.sqrt(y["x"] ** 2 + y["y"] ** 2)
+    right, left = (1 + s["side"]) / 2, (1 - s["side"]) / 2
+    growth, turn = left * (1 - r) + right * (2 - r), left + right * (p["ga"] + 2 - r)
+    return {"x": growth * y["x"] - turn * y["y"], "y": growth * y["y"] + turn * y["x"]}
 
 
 def test_orbits_and_multipliers_of_impact_oscillator():
@@ -68,6 +76,57 @@ def test_section_during_sliding_has_multipliers_of_sliding_motion():
 
 
 @pytest.mark.long
+def test_no_motion_grazes_a_clock():
+    """Without events, the margin is that of the section, which the forcing crosses at its own rate."""
+    rate, period = lambda t, y, p: p["rate"] * (cos(p["w"] * t) - y["x"]), lambda p: 2 * np.pi / p["w"]
+    lag = one_state(rate, parameters={"w": 1.0, "rate": 2.0}, period=period)
+    run = {"settle": 40.0, "observe": 40.0, "orbits": True}
+    ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0]}, "run": run}, progress=False).squeeze()
+    assert ds.stable == 1 and ds.grazing_margin == 1.0
+
+
+@pytest.mark.long
+def test_discontinuous_field():
+    """Both halves are separable in polar form.
+
+    Left: r -> r e^pi/(1 + r (e^pi - 1)), and the angle is the time. Right: G(r) grows by pi, with
+    G = ((ga + be)/be) ln r - (ga/be) ln|be - r|. Its time is that of r' = (be - r) r: ln(r/|be - r|) grows by be t.
+    """
+    be, ga = 2.0, 1.5
+    piecewise = vj.System(
+        "piecewise",
+        states={"x": "1", "y": "1"},
+        parameters={"ga": ga},
+        field=halves,
+        section="y",
+        events=[vj.Switch("side", lambda t, y, p: y["x"])],
+    )
+    tables = {"scene": piecewise, "starts": [[1.9, 0.0]], "grid": {"ga": [ga]}, "run": {"orbits": True}}
+    ds = vj.run_sweep(tables, progress=False).squeeze()
+
+    def left(r):
+        return r * np.exp(np.pi) / (1 + r * np.expm1(np.pi))
+
+    def G(r):
+        return (ga + be) / be * np.log(r) - ga / be * np.log(be - r)
+
+    def right(r, angle=np.pi):
+        return brentq(lambda out: G(out) - G(r) - angle, r, be * (1 - 1e-15), xtol=1e-15, rtol=1e-15)
+
+    def pace(r):
+        return (be - r) * r / (ga + be - r)
+
+    entering = brentq(lambda r: right(left(r)) - r, 1.5, 1.99, xtol=1e-15)
+    leaving = left(entering)
+    slope = np.exp(np.pi) / (1 + entering * np.expm1(np.pi)) ** 2 * pace(entering) / pace(leaving)
+    time = np.pi + (np.log(entering / (be - entering)) - np.log(leaving / (be - leaving))) / be
+    np.testing.assert_allclose([slope, time], [0.002430511420186, 4.810271605994165], rtol=1e-12)
+    assert ds.orbit_reason == 0 and ds.stable == 1
+    assert [ds.period.item(), ds.multiplier_abs.item()] == pytest.approx([time, slope], abs=1e-9)
+    assert ds.orbit_x.item() == pytest.approx(right(leaving, np.pi / 2), abs=1e-9)  # half-way through the right half
+
+
+@pytest.mark.long
 def test_departures_along_a_tangent_are_not_grazes():
     """Coulomb friction makes the mass stick in each period. The expected multiplier was computed with SciPy."""
     floor = mass(
@@ -117,7 +176,11 @@ def test_unstable_orbit_near_lane_is_another_orbit(doubled_lane):
     for name in ("period", "impact_velocity", "impact_phase", "stick_fraction"):
         assert early[name] == own[name]
     assert orbit_reason(late) == "found" and late.stable == 1 and late.orbit_cycles == 8
-    # The lane is 7e-5 from where it settles, and has no error bound.
+
+
+def test_lane_near_unstable_orbit_has_no_error_bound(doubled_lane):
+    """The lane is 7e-5 from where it settles."""
+    own, early, late = doubled_lane
     assert abs(own.impact_velocity / late.impact_velocity - 1) > 5e-5
     assert np.isinf(early.error_estimate) and np.isinf(early.drift_estimate)
 

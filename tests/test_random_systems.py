@@ -6,7 +6,7 @@ from exact.described import Described, Stop, Surface
 from exact.hybrid import Hybrid
 from exact.random_systems import draw, structure
 from random_families import family_of, faults
-from random_systems import built, compare
+from random_systems import built, compare, compare_sweep
 
 FREE = {"x": ((1.0, "v"),), "v": ((-1.0, "g"),)}
 WALL = Stop("wall", ((1.0, ""), (-1.0, "x")), velocity="v", restitution="r")
@@ -73,3 +73,15 @@ def test_families_of_random_systems(seed):
     """States, impacts and multipliers along a parameter, and stability that changes at special points only."""
     compared, found = faults(*family_of(seed, 0))
     assert found == [] and compared >= 3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 5, 12, 17, 19])
+def test_sweeps_of_random_systems(seed):
+    """Cycles, impacts, period and impact velocity of certified lanes, of systems with more damping."""
+    described = structure(seed)
+    assert described.section is None and "q" not in described.states
+    draws = [draw(described, seed, index)[0] for index in range(4)]
+    points = [{name: x + 0.3 * name.startswith("c_") for name, x in p.items()} for p in draws]
+    outcomes = compare_sweep(described, points, [0.1, 0.2, -0.15, 0.05][: len(described.states)], settle=150.0)
+    assert [verdict for verdict in outcomes if verdict.kind == "WRONG"] == []
