@@ -39,7 +39,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       c.fill();
       c.globalAlpha = 1;
       const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
-      if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]] });
+      if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]], ...(item.at[1] === y[2] ? { low: [y[0]] } : {}) });
       else if (name) read(name, x.slice(0, half), top, { low: y.slice(0, half), texts: top.map((high, k) => numberText(high - y[k])) });
     } else if (item.kind === "cells" && item.levels) {
       const wide = x.length - 1, across = [], up = [];
