@@ -16,6 +16,7 @@ from vibrojax.io.variables import Variable
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lazy import jax, jnp
 from vibrojax.measures.recorder import Features, Records
+from vibrojax.measures.section import lowest
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes import Driven, HasContact, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.scenes.declared import Values
@@ -42,8 +43,8 @@ class Record(NamedTuple):
       an event ends the step.
     - `polynomials`: coefficients of the states in powers of (t - start)/h.
     - `mode`: mode at the beginning of the step; `after`: state at the beginning of the next step.
-    - `hits`: True for the guards and markers whose zero ends the step; `returns`: True if the step ends at a section
-      crossing that the recorder counts.
+    - `hits`: True for the guards and markers whose zero ends the step; `falling`: for markers that cross zero
+      downwards.
     """
 
     start: Float[Array, " steps"]
@@ -53,7 +54,7 @@ class Record(NamedTuple):
     mode: Float[Array, "steps modes"]
     after: Float[Array, "steps states"]
     hits: Bool[Array, "steps events"]
-    returns: Bool[Array, " steps"]
+    falling: Bool[Array, "steps markers"]
 
 
 def record(
@@ -168,15 +169,15 @@ def record_batch(
     arrays (steps, ..., lanes).
     """
 
+    def flags(names: tuple[str, ...], flags_of: Any, like: Array) -> Array:
+        return jnp.stack([flags_of[name] for name in names]) if names else jnp.zeros((0, *like.shape), bool)
+
     def advance(now: tuple[Lane, Any], _: None) -> tuple[tuple[Lane, Any], Any]:
         lane, carry = now
         moving = lane.clock.until(end) > 0
         new, step = stepper.step(scene, constants, lane, accuracy, Goal(end, moving))
-        hits = [step.hits[name] for name in scene.event_names]
-        returns: Array = jnp.zeros_like(moving)
         if recorder is not None:
             carry = recorder.step(scene, constants, carry, new, step)
-            returns = recorder.waiting(carry)
             carry = recorder.take_returns(scene, constants, carry, new, (new.clock.high - begin) / (end - begin))
         columns = {
             "start": lane.clock.high,
@@ -185,8 +186,8 @@ def record_batch(
             "polynomials": jnp.stack([jnp.stack(series) for series in step.polynomials]),
             "mode": jnp.stack(step.mode),
             "after": jnp.stack(step.after),
-            "hits": jnp.stack(hits) if hits else jnp.zeros((0, *moving.shape), bool),
-            "returns": returns,
+            "hits": flags(scene.event_names, step.hits, moving),
+            "falling": flags(scene.marker_names, step.falling, moving),
         }
         return (new, carry), columns
 
@@ -246,7 +247,7 @@ def check_size(
         step_bytes, requested = 0.0, 0.0
     else:
         numbers = 3 + len(scene.states) * (stepper.degree + 2) + len(scene.modes)
-        step_bytes = 8.0 * numbers + len(scene.event_names) + 1
+        step_bytes = 8.0 * numbers + len(scene.guard_names) + 2 * len(scene.markers)
         most, requested = RECORD_MAX_STEPS, 1 / accuracy.step
     available = memory() if step_bytes else None
     if available is not None:
@@ -325,7 +326,7 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
     if isinstance(scene, HasContact):
         masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
     if scene.section is not None:
-        masks["section"] = record.returns
+        masks["section"] = _returns(scene, c, record)
     if not masks:
         return np.zeros(0), np.zeros(0, np.int8)
     time = record.start + record.dt
@@ -333,6 +334,28 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
     times = np.concatenate([time[mask] for mask in masks.values()])
     order = np.argsort(times, kind="stable")
     return times[order], kinds[order].astype(np.int8)
+
+
+def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " steps"]:
+    """Return a mask of the steps that end in a section crossing.
+
+    A crossing counts only if the velocity has passed the re-arming level since the previous crossing.
+    """
+    section = scene.section
+    assert section is not None
+    sign, marker = 1.0 if section.rising else -1.0, scene.marker_of(section.velocity)
+    falling = record.falling[:, scene.marker_names.index(marker)]
+    returns = record.hits[:, scene.event_names.index(marker)] & (~falling if section.rising else falling)
+    armed, passed = False, np.zeros(len(returns), bool)
+    # A step that only switches the mode has length zero, and its velocity does not change.
+    tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
+    velocity = [sign * coefficient for coefficient in record.polynomials[:, scene.place(section.velocity)].T]
+    low = np.asarray(lowest_velocity(velocity, tau)) < sign * float(np.ravel(section.rearm(c))[0])
+    for index in np.flatnonzero(returns | low):
+        armed = armed or bool(low[index])
+        passed[index] = returns[index] and armed
+        armed = armed and not passed[index]
+    return passed
 
 
 def forces(scene: Scene[Any], c: Any, motion: SampledMotion, width: float | None) -> dict[str, xr.Variable]:
@@ -363,6 +386,12 @@ def _forces(scene: Scene[Any], is_sharp: bool, c: Any, modes: Values, states: Va
 def impact_begins(scene: HasImpacts[Any], c: Any, modes: Values, states: Values, hits: dict[str, Array]) -> Array:
     """Return a mask of steps (`modes`, end `states`, guards `hits`) that end as an impact begins."""
     return scene.impact_begins(c, modes, states, hits)
+
+
+@lane_function(static=0)
+def lowest_velocity(velocity: list[Array], tau: Array) -> Array:
+    """Return the minimum of each step's polynomial between 0 and `tau`."""
+    return lowest(velocity, tau)
 
 
 def scalars(c: Any) -> Any:
