@@ -182,7 +182,7 @@ def test_wrong_beginnings_are_refused():
     for more, words in (
         ({"orbit": {"states": [1.0]}}, r"orbit: .* is not \{\"states\""),
         ({"orbit": {"states": [1.0], "period": 2.0}}, "orbit.states: .* is not 3 numbers: x, y, z"),
-        ({"orbit": {"states": [1.0, 0.0, 0.0], "period": -2.0}}, "orbit.period: -2 is not above 0 s"),
+        ({"orbit": {"states": [1.0, 0.0, 0.0], "period": -2.0}}, "orbit.period: is -2; it must be above 0 s"),
         ({"orbit": {}, "start": [0.0] * 3}, "orbit: and start both say where the family begins"),
         ({"from_hopf": 3}, "from_hopf: is not a family of equilibria"),
         ({"at": None}, "at is missing"),
