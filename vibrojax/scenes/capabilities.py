@@ -123,6 +123,10 @@ class HasContact(HasImpacts[C]):
         """Return the contact force J [N], zero out of contact."""
 
     @abstractmethod
+    def impact_rate(self, c: C, mode: Values, state: Values) -> Any:
+        """Return the compression rate of the contact [m/s]; at the beginning of an impact, this is its velocity."""
+
+    @abstractmethod
     def striker_mass(self, c: C) -> Any:
         """Return the striker's mass [kg]."""
 

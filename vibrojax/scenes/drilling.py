@@ -2,20 +2,28 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from vibrojax.lazy import jnp
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.rock import ROCK, ROCKS
 from vibrojax.scenes import bit_on_rock
-from vibrojax.scenes.bit_on_rock import OnRock, rock_constants
+from vibrojax.scenes.bit_on_rock import OnRock, RockConstants, rock_constants
 from vibrojax.scenes.declared import Guard, Values
-from vibrojax.scenes.rotary import length_noise
+from vibrojax.scenes.rotary import DrillConstants, length_noise
 from vibrojax.scenes.scene import Scene
-from vibrojax.scenes.vibro_impact import VibroImpact
+from vibrojax.scenes.vibro_impact import ContactConstants, VibroImpact
 
 # Most impacts of this drill never break granite, so the default rock is sandstone.
 _DEFAULTS = {"k3": ROCKS["sandstone"].k3, "threshold": ROCKS["sandstone"].threshold, "zeta": 1.5}
+
+
+class DrillingConstants(NamedTuple):
+    """Constants of the two masses, of the contact, and of the bit on the rock."""
+
+    drill: DrillConstants
+    contact: ContactConstants
+    rock: RockConstants
 
 
 @dataclass(frozen=True)
@@ -42,7 +50,8 @@ class Drilling(VibroImpact, OnRock):
         return VibroImpact(self.friction)
 
     def constants(self, p: Mapping[str, Any]) -> Any:
-        return super().constants(p)._replace(rock=rock_constants(p, p["g"]))
+        drill, contact = super().constants(p)
+        return DrillingConstants(drill, contact, rock_constants(p, p["g"]))
 
     def compressed(self, c: Any, state: Values, before: Any, after: Any) -> Any:
         return state[2] + (after - before)

@@ -70,12 +70,10 @@ def _rearm(c: Any) -> Any:
     return -ARMED_BELOW * c.drill.v
 
 
-class Constants(NamedTuple):
-    """Constants of the two masses and, in scenes that have them, of the contact and of the bit on the rock."""
+class RotaryConstants(NamedTuple):
+    """Constants of the two masses."""
 
     drill: DrillConstants
-    contact: Any = None
-    rock: Any = None
 
 
 @dataclass(frozen=True)
@@ -162,7 +160,7 @@ class Rotary(HasFriction[Any]):
             speed_scale=p["v"] + (limit + 1e-6 * weight) / impedance,
             law=own,
         )
-        return Constants(drill)
+        return RotaryConstants(drill)
 
     def rate(self, c: Any, mode: Values) -> Any:
         return self.flight_rate(c)

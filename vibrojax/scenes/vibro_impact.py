@@ -16,7 +16,7 @@ from vibrojax.physics.elementary import maximum
 from vibrojax.physics.parameters import BIT_AND_STRIKER, CONTACT, Parameter
 from vibrojax.scenes.capabilities import HasContact
 from vibrojax.scenes.declared import Guard, Mode, Start, Values
-from vibrojax.scenes.rotary import Rotary, length_noise
+from vibrojax.scenes.rotary import DrillConstants, Rotary, length_noise
 from vibrojax.scenes.scene import ROUNDINGS
 
 
@@ -30,6 +30,13 @@ class ContactConstants(NamedTuple):
     c0: Any
     delta: Any
     relaxation: Any
+
+
+class VibroImpactConstants(NamedTuple):
+    """Constants of the two masses and of the contact between them."""
+
+    drill: DrillConstants
+    contact: ContactConstants
 
 
 @dataclass(frozen=True)
@@ -46,8 +53,8 @@ class VibroImpact(Rotary, HasContact[Any]):
     own_parameters: ClassVar[dict[str, Parameter]] = BIT_AND_STRIKER | CONTACT
 
     def constants(self, p: Mapping[str, Any]) -> Any:
-        contact = ContactConstants(p["k0"], p["c0"], p["delta"], p["c0"] / p["k0"])
-        return super().constants(p)._replace(contact=contact)
+        [drill] = super().constants(p)
+        return VibroImpactConstants(drill, ContactConstants(p["k0"], p["c0"], p["delta"], p["c0"] / p["k0"]))
 
     def compression(self, c: Any, mode: Values, state: Values) -> tuple[Any, Any]:
         """Return the compression of the contact [m] and the compression rate [m/s]; Taylor series are accepted."""
