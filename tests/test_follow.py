@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pint
 import pytest
 from exact import orbits
 from refusals import refusal
@@ -159,6 +160,7 @@ def test_wrong_input_is_refused():
     """The command (`test_follow_cli.py`) refuses the rest."""
     for more, says in (
         ({"span": 0.5}, "span"),
+        ({"at": 0.75 * pint.Unit("mm")}, "a unit of 1 is needed"),
         ({"beta": []}, "empty"),
         ({"beta": 0.3, "at": 0.3}, "irregular"),
         ({"scene": "drilling", "along": "threshold", "at": 5e4, "span": (2e4, 1e5)}, "no orbit changes along it"),
@@ -169,7 +171,8 @@ def test_wrong_input_is_refused():
 def test_rock_begins_to_yield_at_force_of_linear_response():
     """Until it yields, rock and bit are linear: the greatest compression is proportional to the force."""
     width, frequency, m1, k3, zeta, threshold = 4e-3, 20.0, 250.0, 3e8, 1.1, 150e3
-    family = vj.follow("penetration", along="force", at=1e5, span=(1e5, 2.5e5), zeta=zeta, progress=False)
+    kn = pint.UnitRegistry().kN
+    family = vj.follow("penetration", along="force", at=100 * kn, span=(1e5, 250 * kn), zeta=zeta, progress=False)
     w0 = np.sqrt(k3 / m1)
     field = np.array([[0.0, 1.0], [-(w0**2), -2 * zeta * w0]])
     still = np.array([1 / k3, 0.0])  # under 1 N

@@ -125,6 +125,8 @@ def _run(kind: str, options: Options) -> None:
 
     if about.subject == "machines":
         place = Place(about.command or kind)
+        if "=" in options.scene:
+            raise place.error(f"the scene is missing; write vibrojax {about.command or kind} SCENE {options.scene}")
         values, parameters = named_values(place, options.values, about.words(), about.lists, about.tolerances)
         analysis, request = about.asked(options.scene, about.of_words(values), parameters)
         default = analysis.file_name(request)

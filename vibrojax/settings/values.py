@@ -13,7 +13,7 @@ import numpy as np
 from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.parameters import Parameter
-from vibrojax.physics.units import UNITS, likely_units
+from vibrojax.physics.units import UNITS, likely_units, magnitude, stated_scale, stated_unit
 
 TOP_KEYS = ("scene", "title", "starts", "unusual")
 """Keys before the tables of a sweep."""
@@ -58,8 +58,15 @@ def require_number(place: Place, value: object, unit: str = "") -> float:
 
 
 def quantity(place: Place, value: object, parameter: Parameter) -> float:
-    """Return `value` as a float; raise if it is not admissible for `parameter`."""
-    checked = require_number(place, value, parameter.unit)
+    """Return `value`, converted from its stated unit, as a float; raise if it is not admissible for `parameter`."""
+    scale = 1.0
+    if hasattr(value, "__array__"):  # of NumPy, JAX, xarray or pint
+        check_untraced(place.error, value)
+        if (unit := stated_unit(value)) is not None:
+            scale = stated_scale(place.error, unit, parameter.unit)
+        number = np.asarray(magnitude(value))
+        value = value if number.ndim else number.item()
+    checked = scale * require_number(place, value, parameter.unit)
     problem = parameter.problem(checked)
     if problem is not None:
         raise place.error(problem)

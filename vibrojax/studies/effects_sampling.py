@@ -48,10 +48,10 @@ ZERO_WITHOUT_IMPACTS = (
 """Variables that are 0 in lanes without impacts, where a sweep leaves means over impacts undefined."""
 
 RULES = (
-    "lanes without impacts, or without a return of the bit and without contact: impact velocity, energy and power, "
-    "blows, rate and slip are 0; irregular lanes: their means over the observation, impact_power from the impacts per "
-    "return; several starts: the mean over them; lanes that failed or in which a variable has no value: for that "
-    "variable the base sample with all its points is left out"
+    "In lanes without impacts, and in lanes without a return of the bit and without contact, impact velocity, energy "
+    "and power, blows, rate and slip are 0. Irregular lanes count with their means over the observation, with "
+    "impact_power from the impacts per return. Of several starts, the mean counts. If a lane has failed, or if a "
+    "variable has no value in it, the base sample of this lane is left out for this variable, with all its points."
 )
 """How lanes without the regime are handled, for the dataset's attributes."""
 

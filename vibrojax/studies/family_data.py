@@ -1,7 +1,7 @@
 """What `follow` is given: scene, parameter, bounds, and where families begin; and the dataset of families."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -161,9 +161,10 @@ def family_spec(
 
 def read_span(place: Place, names: Names, name: str, span: object) -> tuple[float, float]:
     """Return the lower and the upper bound of a parameter, in order."""
-    if not isinstance(span, Sequence | np.ndarray) or isinstance(span, str) or len(span) != 2:
+    ends = list(span) if isinstance(span, Iterable) and not isinstance(span, str | Mapping) else []
+    if len(ends) != 2:
         raise place.at("span").error(f"{shown(span)} is not a pair of numbers; give the bounds of {name}")
-    low, high = sorted(names.quantity(place.at(end), name, x) for end, x in zip(("from", "to"), span, strict=True))
+    low, high = sorted(names.quantity(place.at(end), name, x) for end, x in zip(("from", "to"), ends, strict=True))
     if not low < high:
         raise place.at("to").error(f"{high:g} is the same as from; give the two bounds of {name}")
     return low, high

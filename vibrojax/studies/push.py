@@ -137,10 +137,11 @@ PATIENCE = 6.0
 SIGNS = (-1, 1)
 
 METHOD = (
-    "pushes at the section of the working cycle, scan of them in each direction evenly up to the bound, then as many "
-    "below the smallest that leaves, until nothing smaller is found; between that and the greatest returning push "
-    "below it, the same until the bracket is narrow. Motions that are then irregular are run patience times as long. "
-    "Basins have holes: a hole narrower than the steps of the scans is missed"
+    "The state of the working cycle is pushed at the section. In each direction, a scan divides the range up to the "
+    "bound evenly; further scans divide the range below the smallest push that leaves, until none is smaller. The "
+    "interval between this push and the greatest push below it that returns is then divided until it is narrow. "
+    "Irregular motions are simulated patience times as long. A scan misses holes of a basin that are narrower than "
+    "its steps."
 )
 
 

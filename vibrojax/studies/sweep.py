@@ -187,7 +187,7 @@ def _reason_of_no_rate(ds: xr.Dataset, rate: xr.DataArray, facts: dict[str, Any]
     return [
         *lines,
         "without a rate, the rock force never reaches the threshold D, at which the rock yields",
-        f"the largest {name} there is {peak / 1e3:.4g} kN, {share:.3g} of D; the inertia of the bit takes a part of it",
+        f"the largest {name} there is {peak / 1e3:.4g} kN, {share:.4g} of D; the inertia of the bit takes a part of it",
         f"a softer rock (lower threshold) or {harder} can give a rate",
     ]
 
@@ -255,10 +255,10 @@ def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list
         still = int((ds["drift_estimate"] > accepted).sum())
         singular = "of them is farther than that from where it settles; a longer settle brings it there"
         plural = "of them are farther than that from where they settle; a longer settle brings them there"
-        lines.append(counted(still, singular, plural))
+        lines += [counted(still, singular, plural)] if still else []
     one = "lane is sensitive: rounding decides which attractor it reaches"
     many = "lanes are sensitive: rounding decides which attractor they reach"
-    return [*lines, counted(int(sensitive.sum()), one, many)]
+    return [*lines, counted(int(sensitive.sum()), one, many)] if sensitive.any() else lines
 
 
 _WORDS = {
