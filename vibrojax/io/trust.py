@@ -166,7 +166,7 @@ def _secret() -> bytes | None:
     return secret if len(secret) == _SIZE else None
 
 
-LAZY_FROM = 256e6
+LAZY_FROM = 128e6
 """Size of a dataset [bytes] above which its variables are read lazily."""
 
 MOST_PACKED = 2000
