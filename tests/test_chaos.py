@@ -149,6 +149,14 @@ def test_zero_one_test_separates_regular_from_chaotic_maps():
     assert abs(zero_one(rotation)[0]) < 0.15
 
 
+def test_no_bit_of_statistics_depends_on_other_lanes():
+    series = np.random.default_rng(1).standard_normal((1000, 7))
+    whole = np.array([zero_one(series), *exponents(series, 1 + series**2)])
+    for lanes in (slice(0, 1), slice(6, 7), slice(2, 4), slice(1, 6)):
+        own = series[:, lanes]
+        np.testing.assert_array_equal([zero_one(own), *exponents(own, 1 + own**2)], whole[:, lanes])
+
+
 def test_refused_lanes_have_no_exponent():
     failing = vj.run_sweep(
         {"scene": "vibro-impact", "starts": ["stuck"], "unusual": True, "grid": {"k0": [5e7, 1e300]}}

@@ -76,16 +76,28 @@ def exponents(rate: PerReturn, time: PerReturn) -> tuple[PerLane, PerLane]:
     late = size * EXPONENT_BLOCKS
     results = []
     for weight, whole in zip(each, (np.ones(late), _bump(late)), strict=True):
-        exponent = whole @ rate[-late:] / (whole @ time[-late:])
+        exponent = along_rows(whole[:, None] * rate[-late:]) / along_rows(whole[:, None] * time[-late:])
         growth, seconds = (
-            np.einsum("r,brl->bl", weight, x[-late:].reshape(EXPONENT_BLOCKS, size, -1)) for x in (rate, time)
+            along_rows(weight[:, None, None] * x[-late:].reshape(EXPONENT_BLOCKS, size, -1).swapaxes(0, 1))
+            for x in (rate, time)
         )
-        off = (growth - exponent * seconds) / seconds.mean(axis=0)
-        error = np.sqrt((off**2).sum(axis=0) / (EXPONENT_BLOCKS - 1) / EXPONENT_BLOCKS)
+        off = (growth - exponent * seconds) / (along_rows(seconds) / EXPONENT_BLOCKS)
+        error = np.sqrt(along_rows(off**2) / (EXPONENT_BLOCKS - 1) / EXPONENT_BLOCKS)
         results.append((exponent, WIDER * error))
     chaotic = results[0][0] > CHAOTIC_STDERRS * results[0][1]
     exponent, error = (np.where(chaotic, *pair) for pair in zip(*results, strict=True))
     return exponent, error
+
+
+def along_rows(x: np.ndarray) -> np.ndarray:
+    """Return the sums over the rows of an array (rows, ..., lanes), added one after another.
+
+    Thus no bit of a lane depends on the other lanes: numpy adds the rows of a single lane in pairs, and BLAS in blocks
+    that depend on the number of lanes.
+    """
+    if x.shape[-1] == 1:
+        return along_rows(np.repeat(x, 2, axis=-1))[..., :1]
+    return np.asarray(np.add.reduce(np.ascontiguousarray(x), axis=0))
 
 
 def _bump(count: int) -> Float[np.ndarray, " count"]:
@@ -138,7 +150,8 @@ def zero_one(series: Float[np.ndarray, "samples lanes"]) -> PerLane:
     longest = max(int(TEST_LAG_SHARE * samples), 2)
     lags = np.unique(np.linspace(1, longest, TEST_LAGS).round().astype(int))
     # Single precision suffices for a thousand numbers of order one, and takes half the time.
-    series = ((series - series.mean(axis=0)) / series.std(axis=0)).astype(np.float32)
+    series = series - along_rows(series) / samples
+    series = (series / np.sqrt(along_rows(series**2) / samples)).astype(np.float32)
     x = lags.astype(float) - lags.astype(float).mean()
     result = np.empty((TEST_FREQUENCIES, series.shape[1]))
     frequencies = np.random.default_rng(0).uniform(np.pi / 5, 4 * np.pi / 5, TEST_FREQUENCIES)
@@ -146,10 +159,10 @@ def zero_one(series: Float[np.ndarray, "samples lanes"]) -> PerLane:
         turn = np.exp(1j * frequency * np.arange(1, samples + 1)).astype(np.complex64)
         place = np.cumsum(turn[:, None] * series, axis=0)
         moved = (place[lag : lag + samples - longest] - place[: samples - longest] for lag in lags)
-        spread = np.array([np.mean(z.real**2 + z.imag**2, axis=0) for z in moved])
-        y = spread - spread.mean(axis=0)
+        spread = np.array([along_rows(z.real**2 + z.imag**2) for z in moved]) / (samples - longest)
+        y = spread - along_rows(spread) / len(lags)
         with np.errstate(invalid="ignore", divide="ignore"):
-            result[k] = (x @ y) / np.sqrt((x @ x) * np.sum(y * y, axis=0))
+            result[k] = along_rows(x[:, None] * y) / np.sqrt((x @ x) * along_rows(y * y))
     return np.median(result, axis=0)
 
 

@@ -19,6 +19,7 @@ from vibrojax.periodic.growth import (
     TANGENT_ACCURACY,
     Growth,
     PerState,
+    along_rows,
     exponents,
     exponents_of_repeats,
     find_repeats,
@@ -206,7 +207,7 @@ def classify_growth(
     `last`: True if no section crossings are left; then all lanes are classified.
     """
     lost = ~np.isfinite(growth.states[-1]).all(axis=0)
-    per_return = growth.time[-EXPONENT_BLOCKS:].mean(axis=0)
+    per_return = along_rows(growth.time[-EXPONENT_BLOCKS:]) / EXPONENT_BLOCKS
     threshold = np.maximum((FINAL_STDERRS if last else CLEAR_STDERRS) * error, ZERO_EXPONENT / per_return)
     spread, longer = (np.ptp(growth.states[-count * LONGEST_REPEAT :], axis=0) for count in (1, 4))
     # A motion that spirals towards an orbit seems periodic after a revolution, but its extent keeps shrinking.
