@@ -398,7 +398,7 @@ def test_studies_show_their_numbers():
     assert np.argwhere(np.isfinite(pairs.layers[1].values)).tolist() == [[1, 0]]  # pale: within its error
     sides = sheet_of(PUSHES).plots[0]
     assert [layer.height[0] for layer in sides.layers if isinstance(layer, Bars)] == pytest.approx([2e-3, 1e-3])
-    assert [layer.text for layer in sides.layers if isinstance(layer, Text)] == ["returns", "0.001"]
+    assert [layer.text for layer in sides.layers if isinstance(layer, Text)] == ["0.001"]
     plane_plot = sheet_of(BEST).plots[0]
     square_marks = next(layer for layer in plane_plot.layers if isinstance(layer, Points))
     assert square_marks.x.tolist() == [0.3, 0.5] and {"best candidate", "other candidates", "map: not feasible"} <= set(
