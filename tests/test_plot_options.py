@@ -174,6 +174,7 @@ def test_campbell_shows_blows_that_differ_from_decided_returns():
     marks = {layer.marker: [*zip(layer.x, layer.y, strict=True)] for layer in plot.layers if layer.marker}
     assert marks["o"] == [(1.0, 4.0), (1.5, 4.0)]
     assert marks["x"] == [(1.5, 8.0)]
+    assert len({(bool(layer.marker), layer.order) for layer in plot.layers}) == 2  # no line hides a mark
 
 
 def test_rate_over_force_lists_the_onsets_of_each_rock_once():

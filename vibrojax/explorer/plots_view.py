@@ -148,7 +148,7 @@ def _plots(
             if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
         }
         share = sum(sheet.widths[column : column + wide]) / sum(sheet.widths)
-        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(title)
+        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(title.replace("\n", ", "))
         bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
             "title": title,

@@ -292,7 +292,6 @@ _FLOOR = "#E8E8E8"
 _BAND: Look = {"colour": "#F2C94C", "width": 4.5, "alpha": 0.65}
 _RANGE: Look = {"colour": FAINT, "width": 1.6}
 _MEDIAN: Look = {"colour": "#767676", "width": 0.7}
-_EDGES = 1e-30, 1e9  # far outside the panels
 
 # Name in the legend, marker and colour, by method and varied setting; the markers are distinct in greyscale.
 _LOOKS = {
@@ -352,12 +351,12 @@ def _layers(ds: xr.Dataset, least: float) -> list[Layer]:
     front = ds.isel({SETTING: ds["on_front"].values == 1}).sortby("time_per_lane_second")
     if front.sizes[SETTING]:  # a staircase; settings above and to the right of it are worse
         x, y = front["time_per_lane_second"].values, front["error_worst"].values
-        places, heights = [x[0], *x, _EDGES[1]], [_EDGES[1], *y, y[-1]]
+        places, heights = [x[0], *x, np.inf], [np.inf, *y, y[-1]]
         layers.append(Line(np.repeat(places, 2)[1:], np.repeat(heights, 2)[:-1], order=1.0, **_BAND))
     spread = max(float(ds["reference_spread"].values[0]), 1e-16)
     if spread > 2 * least:  # else it cannot be seen
         floor = Look(colour=_FLOOR, order=0.0, label="below the error of the reference")
-        layers.append(Area([-np.inf, np.inf], [_EDGES[0]] * 2, [spread] * 2, **floor))
+        layers.append(Area([-np.inf, np.inf], [-np.inf] * 2, [spread] * 2, **floor))
     ds = ds.isel({SETTING: ds["time_per_lane_second"].notnull().values})
     columns = list(zip(*(ds[name].values.tolist() for name in ("method", "varied", "precision")), strict=True))
     for column in dict.fromkeys(columns):

@@ -38,6 +38,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       x.forEach((value, k) => (k ? c.lineTo(sx(value), sy(y[k])) : c.moveTo(sx(value), sy(y[k]))));
       c.closePath();
       c.fill();
+      if (item.alpha === 1) { Object.assign(c, { strokeStyle: c.fillStyle, lineWidth: 0.6 }); c.stroke(); }  // else hairlines part neighbours
       c.globalAlpha = 1;
       const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
       if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]], ...(item.at[1] === y[2] ? { low: [y[0]] } : {}) });
