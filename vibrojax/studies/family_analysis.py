@@ -176,7 +176,7 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
 
 def _label(ds: xr.Dataset, name: str) -> str:
     if name == LARGEST:
-        return "largest modulus\nof the multipliers"
+        return "largest |multiplier|"
     if name == LEADING:
         return "largest real part of\nthe eigenvalues [1/s]"
     state = name.removeprefix("orbit_")
