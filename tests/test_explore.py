@@ -222,7 +222,7 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     ds = xr.Dataset(coords={"force": ("force", [1e3, 1e4], {"units": "N"}), "start": ["a", "b"]})
     layers: list[Layer] = [
         Line(x, 2 * x, "#112233", dash="--", marker="s", label="law"),
-        Points(x, x, ["#ff0000", "#00ff00", "#0000ff"], 4.0),
+        Points(x, x, ["#ff0000", "#00ff00", "#0000ff"], 4.0, values=[7.0, np.nan, 9.0]),
         Area(x, x, 3 * x, "#abcdef", 0.5),
         level(7.0, colour="#123456"),
         Bars([1.0], [0.0], [2.0], [5.0], "#00aa00"),
@@ -251,6 +251,7 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes() -> None:
     text = item(kind="text", text="in the middle")
     assert line["x"] == marks["x"] == x.tolist() and line["y"] == (2 * x).tolist() and line["dash"]
     assert points["colours"] == ["#ff0000", "#00ff00", "#0000ff"] and points["sizes"] == [2.0]
+    assert points["values"] == [7.0, None, 9.0]
     assert set(area["y"]) == {*x, *(3 * x)} and upright["x"] == [1.0, 100.0] and upright["y"] == [7.0, 7.0]
     assert bar["x"] == [1.0, 3.0, 3.0, 1.0] and bar["y"] == [0.0, 0.0, 5.0, 5.0] and bar["at"] == [2.0, 5.0]
     assert text["x"] == [pytest.approx(10.0)] and text["y"] == [150.0]

@@ -423,7 +423,11 @@ def test_legend_of_family_lists_what_occurs_in_visible_colours(browser: Any, tmp
         brightest = opened.evaluate(drawn)
         assert len(brightest) == len(runs | kinds) and min(brightest) > 120
         plot = opened.page.locator(".vx-plots canvas[role=img]").first
-        plot.evaluate("c => vibrojax.plots.find(one => one.canvas === c).tools.set([[0.95, 1.05], [-1e3, 1e3]])")
+        chosen = "vibrojax.plots.find(one => one.canvas === c)"
+        zoom = f"(c, x) => {{ {chosen}.tools.set([x, [-1e3, 1e3]]); return c.frame.xTicks; }}"
+        ticks = [text for _, text in plot.evaluate(zoom, [1.0, 1.000001])]
+        assert len(set(ticks)) == len(ticks) > 2
+        plot.evaluate(zoom, [0.95, 1.05])
         link = opened.evaluate("location.hash")
     with OpenPage(browser, tmp_path / "family.html", link) as reopened:
         plot = reopened.page.locator(".vx-plots canvas[role=img]").first
@@ -431,6 +435,9 @@ def test_legend_of_family_lists_what_occurs_in_visible_colours(browser: Any, tmp
         plot.press("ArrowRight")  # reads the first value that is seen, not one beside the zoom
         read = reopened.page.locator(".vx-figure .vx-tip").first.inner_text().split()[-2]
         assert 0.95 <= float(read) <= 1.05
+        readings = "[...document.querySelectorAll('.vx-plots canvas')].flatMap(c => c.readings ?? [])"
+        values = reopened.evaluate(f"{readings}.flatMap(one => one.texts ?? [])")
+        assert {"0.9", "1.1"} <= set(values)  # multipliers are read with their parameter
 
 
 def test_tracks_of_rig_log_choose_rows(browser: Any, tmp_path: Path) -> None:

@@ -174,6 +174,7 @@ def test_campbell_shows_blows_that_differ_from_decided_returns():
     marks = {layer.marker: [*zip(layer.x, layer.y, strict=True)] for layer in plot.layers if layer.marker}
     assert marks["o"] == [(1.0, 4.0), (1.5, 4.0)]
     assert marks["x"] == [(1.5, 8.0)]
+    assert len({(bool(layer.marker), layer.order) for layer in plot.layers}) == 2  # no line hides a mark
 
 
 def test_rate_over_force_lists_the_onsets_of_each_rock_once():
@@ -182,7 +183,7 @@ def test_rate_over_force_lists_the_onsets_of_each_rock_once():
     marks, lines = requested(ds, diagram="rate-over-force").keys
     assert [line.label.splitlines()[0] for line in lines] == [f"k₃ = {k} MN/m, onset [kN]" for k in (200, 300)]
     assert lines[0].label.splitlines()[1:] == ["f = 20 Hz 12–16", "f = 30 Hz 18–24"]
-    assert [mark.label for mark in marks] == ["fitted law C ln(P/P0)", "no penetration", "onset"]
+    assert [mark.label for mark in marks] == ["fitted law C ln(P/P₀)", "no penetration", "onset"]
 
 
 def test_star_of_chart_is_robust_within_the_map():

@@ -26,7 +26,7 @@ from vibrojax.pictures.maps import region
 from vibrojax.pictures.motion import states_over_time, trajectory
 from vibrojax.pictures.plots import Area, Bars, Points, Text
 from vibrojax.pictures.returns import bifurcation
-from vibrojax.pictures.style import NO_VALUE
+from vibrojax.pictures.style import NO_VALUE, plain
 from vibrojax.studies.analysis import analysis_named, analysis_of
 from vibrojax.studies.attractors import attractor_colours
 from vibrojax.studies.choose import picture, save_picture
@@ -206,6 +206,7 @@ def test_titles_break_between_words():
     title = "start drive: 14 % of the plane"
     assert broken_title(title, 24) == "start drive:\n14 % of the plane"
     assert broken_title(title, 12).split() == title.split()
+    assert plain("μ, v_cr of log_a") == r"μ, $\mathregular{v_{cr}}$ of log_a"
     assert broken_title("upper\nC = 21.5 ± 0.7 m/h", 24) == "upper\nC = 21.5 ± 0.7 m/h"
 
 
@@ -398,7 +399,7 @@ def test_studies_show_their_numbers():
     assert np.argwhere(np.isfinite(pairs.layers[1].values)).tolist() == [[1, 0]]  # pale: within its error
     sides = sheet_of(PUSHES).plots[0]
     assert [layer.height[0] for layer in sides.layers if isinstance(layer, Bars)] == pytest.approx([2e-3, 1e-3])
-    assert [layer.text for layer in sides.layers if isinstance(layer, Text)] == ["returns", "0.001"]
+    assert [layer.text for layer in sides.layers if isinstance(layer, Text)] == ["0.001"]
     plane_plot = sheet_of(BEST).plots[0]
     square_marks = next(layer for layer in plane_plot.layers if isinstance(layer, Points))
     assert square_marks.x.tolist() == [0.3, 0.5] and {"best candidate", "other candidates", "map: not feasible"} <= set(
@@ -408,7 +409,8 @@ def test_studies_show_their_numbers():
     texts_shown = [layer.text for layer in sheet_of(SLOPES).plots[0].layers[1:]]
     assert texts_shown == ["0.2", "−0.7"]
     drive, any_start = sheet_of(BORDERS).plots
-    assert drive.title == "start drive: 40 % of the plane" and labels(sheet_of(BORDERS)) == ["basin"]
+    assert drive.title == "start drive: 40 % of the plane"
+    assert labels(sheet_of(BORDERS)) == ["basin (the start leads elsewhere)"]
     assert any_start.layers[0].text.replace("\n", " ") == "no border: a single impact is stable everywhere"
     along = sheet_of(ATTRACTORS).plots[0]
     assert attractor_colours(ATTRACTORS) == [REGIME_COLOURS[flag].lower() for flag in (3, 6)]

@@ -148,7 +148,7 @@ def _plots(
             if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
         }
         share = sum(sheet.widths[column : column + wide]) / sum(sheet.widths)
-        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(title)
+        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(title.replace("\n", ", "))
         bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
             "title": title,
@@ -234,6 +234,7 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
             colours = [layer.colours] if isinstance(layer.colours, str) else list(layer.colours)[::step]
             sizes = [json_value(float(size) / 2, 3) for size in np.atleast_1d(layer.sizes)[::step]]
             look = {"colours": [to_hex(colour) for colour in colours], "sizes": sizes, "hollow": hollow}
+            look["values"] = [json_value(float(value), 5) for value in np.asarray(layer.values)[::step]]
             yield {"kind": "points", **about, **points, **look, "shape": layer.marker}
     elif isinstance(layer, plots.Bars):
         sides = np.broadcast_arrays(layer.x, layer.y, layer.width, layer.height)

@@ -217,7 +217,7 @@ def certified_text(ds: xr.Dataset) -> str:
     if counts.get("estimated") and {"within", "still_settling", "error"} <= set(counts):
         within, estimated, still = (round(counts[name]) for name in ("within", "estimated", "still_settling"))
         lanes = f"of {estimated} lanes that repeat" if estimated > 1 else "of 1 lane that repeats"
-        text = counted(within, f"{lanes} is", f"{lanes} are") + f" known to {counts['error']:g}"
+        text = counted(within, f"{lanes} is", f"{lanes} are") + f" exact to {counts['error']:g}"
         text += f", {counted(still, 'is', 'are')} still settling" if still else ""
         sensitive = round(counts.get("sensitive", 0))
         parts.append(text + (f", {counted(sensitive, 'is', 'are')} sensitive to rounding" if sensitive else ""))

@@ -206,6 +206,13 @@ MARKS: dict[str, Look] = {
     "hopf": {"marker": "^", "colour": "#882255", "size": 6.0},
     "end": {"marker": "x", "colour": "#222222", "size": 4.5, "edge_width": 1.2},
 }
+_WORDS = {
+    "torus": "second frequency",
+    "grazing": "an impact begins or ends",
+    "stick": "begins or ends",
+    "section": "the bit meets the drive",
+    "basin": "the start leads elsewhere",
+}
 _OWN_EVENT: Look = {"marker": ">", "colour": "#E69F00", "size": 6.0}
 _COLOUR_OF_CYCLES = {0: BIT, 1: BIT, 2: "#D1570A", 4: "#2E8B57", 8: "#9B30C9"}
 _POINTS_PER_STEP = 8  # vertices of a smooth line between successive orbits
@@ -283,7 +290,7 @@ def family_layers(
             for point, place in zip(branch.special, special, strict=True):
                 if low <= along[place] <= high and np.isfinite(heights[place]):
                     mark = _mark(kinds[point], 0.7 if thin or branch.number else 1.0)
-                    mark["label"] = kinds[point] if over_dots else ""
+                    mark["label"] = kind_label(kinds[point]) if over_dots else ""
                     layers.append(dots([along[place]], [heights[place]], order=5.0, **mark))
     return layers
 
@@ -348,7 +355,12 @@ def special_keys(ds: xr.Dataset) -> list[Line]:
     """Return the legend entries for the kinds of special points that occur, with their counts."""
     names = kind_names(ds)
     kinds = [*(kind for kind in MARKS if kind in names), *dict.fromkeys(name for name in names if name not in MARKS)]
-    return [dots(label=f"{kind}  {names.count(kind)}", **_mark(kind, 1.0)) for kind in kinds]
+    return [dots(label=f"{kind_label(kind)}  {names.count(kind)}", **_mark(kind, 1.0)) for kind in kinds]
+
+
+def kind_label(kind: str) -> str:
+    """Return a kind of special point or border, with words on what happens there if its name does not say it."""
+    return f"{kind} ({_WORDS[kind]})" if kind in _WORDS else kind
 
 
 def ranges_text(ds: xr.Dataset, names: Sequence[str]) -> str:

@@ -43,7 +43,7 @@ _NAMES_ON_ONE_LINE = 3  # greatest number of flags whose names fit side by side
 _TITLE_LINES, _NOTE_LINES = 3, 6  # at most
 _LINE_HEIGHT = 1.6  # line spacing in units of the font size
 _FOOTER, _PADDING = 0.4, 0.08  # room of the note's first line, and around the note [inch]
-_TEXT_SHARE = 0.92  # share of the width for texts, whose letters are wider at other resolutions
+_TEXT_SHARE, _LEGEND_SHARE = 0.88, 0.95  # of the width for texts, whose letters are wider at other resolutions
 _BELOW_EDGE = 0.95  # height of markers at the upper edge, as a fraction of the panel
 _MANY_POINTS = 1_000  # from which on points are pixels in a PDF or SVG file; of a line 20 times as many
 _ABOVE = {"above": ("lower center", 0.5), "above left": ("lower left", 0.0), "above right": ("lower right", 1.0)}
@@ -252,7 +252,7 @@ def _draw_legend(figure: Figure, sheet: Sheet) -> Sheet:
         handle.set_label(label.replace("\n", " ") if len(label) <= _ONE_LINE else label)
     for columns in range(min(len(handles), 6), 0, -1):
         legend = figure.legend(handles=handles, loc="lower left", ncols=columns, columnspacing=1.2)
-        if columns == 1 or legend.get_window_extent(renderer).width < _TEXT_SHARE * figure.bbox.width:
+        if columns == 1 or legend.get_window_extent(renderer).width < _LEGEND_SHARE * figure.bbox.width:
             break
         legend.remove()
     return replace(sheet, beside=False)

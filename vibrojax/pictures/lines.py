@@ -17,7 +17,7 @@ from vibrojax.errors import InputError, counted
 from vibrojax.pictures import axes, colours, contents
 from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import FORM, POINT, RATE, REGIME, RELIEF, SENSITIVE, START, is_numeric, lane_dims
-from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets
+from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets, is_narrow
 from vibrojax.pictures.plots import (
     Area,
     Axis,
@@ -144,7 +144,7 @@ def lane_dots(along: Lanes, values: Lanes, regimes: Lanes, size: float) -> Point
 
 def dot_size(values: int) -> float:
     """Return the diameter of a dot [pt], given the number of values along the axis."""
-    return float(np.sqrt(np.clip(1200.0 / values, 5.0, 20.0)))
+    return float(np.sqrt(np.clip(1200.0 / values / (1 + is_narrow()), 5.0, 20.0)))
 
 
 def _strip(facet: xr.Dataset, x: str) -> Plot:

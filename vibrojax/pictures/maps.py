@@ -229,7 +229,10 @@ def point_layers(ds: xr.Dataset, value: Value, x: str, y: str) -> list[Layer]:
     looks: list[tuple[np.ndarray, Look]] = [
         (np.isnan(cells), {"colours": NO_VALUE["facecolor"], "edge": gap, "hatch": NO_VALUE["hatch"]}),
         (nothing, {"colours": NOTHING, "edge": edge}),
-        (known, {"colours": colours_of(cells[known], value.colour_map, value.norm), "edge": edge}),
+        (
+            known,
+            {"colours": colours_of(cells[known], value.colour_map, value.norm), "edge": edge, "values": cells[known]},
+        ),
     ]
     across, up = axes.values_along(ds[x]), axes.values_along(ds[y])
     about: Look = {"sizes": float(size), "edge_width": width}

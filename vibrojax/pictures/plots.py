@@ -52,7 +52,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Points:
-    """Markers with own colours and sizes [pt], or one of each."""
+    """Markers with own colours and sizes [pt], or one of each; the page reads the `values` that colours stand for."""
 
     x: Places = ()
     y: Places = ()
@@ -65,6 +65,7 @@ class Points:
     label: str = ""
     order: float = 2.0
     clip: bool = True
+    values: Places = ()
 
 
 @dataclass(frozen=True)

@@ -119,5 +119,6 @@ def drawable(ds: xr.Dataset) -> xr.Dataset:
 
 
 def plain(text: str) -> str:
-    """Escape dollar signs, between which matplotlib would look for formulas."""
-    return re.sub(r"(?<!\\)\$", r"\\$", text)
+    """Return a text for matplotlib: dollar signs begin no formula, and the index of a symbol such as v_cr is lower."""
+    text = re.sub(r"(?<!\\)\$", r"\\$", text)
+    return re.sub(r"\b([^\W\d_])_([a-z]{1,3})\b", r"$\\mathregular{\1_{\2}}$", text)

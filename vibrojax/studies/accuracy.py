@@ -20,7 +20,22 @@ from vibrojax.errors import Place, counted, printable
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.contents import SETTING
-from vibrojax.pictures.plots import INK, Area, Axis, Key, Layer, Line, Look, Picture, Plot, Sheet, bars, dots, key
+from vibrojax.pictures.plots import (
+    FAINT,
+    INK,
+    Area,
+    Axis,
+    Key,
+    Layer,
+    Line,
+    Look,
+    Picture,
+    Plot,
+    Sheet,
+    bars,
+    dots,
+    key,
+)
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasRock
 from vibrojax.settings.values import check_distinct, choice
@@ -275,15 +290,15 @@ def table(ds: xr.Dataset) -> str:
 _MOST_COLUMNS = 3
 _FLOOR = "#E8E8E8"
 _BAND: Look = {"colour": "#F2C94C", "width": 4.5, "alpha": 0.65}
-_RANGE: Look = {"width": 1.6, "alpha": 0.45}
-_EDGES = 1e-30, 1e9  # far outside the panels
+_RANGE: Look = {"colour": FAINT, "width": 1.6}
+_MEDIAN: Look = {"colour": "#767676", "width": 0.7}
 
 # Name in the legend, marker and colour, by method and varied setting; the markers are distinct in greyscale.
 _LOOKS = {
-    ("located", "tolerance"): ("located, over tolerance", "o", "#004488"),
-    ("located", "stride"): ("located, over fixed stride", "D", "#3F8FA3"),
-    ("smoothed", "width"): ("smoothed, over width", "s", "#D1570A"),
-    ("smoothed", "step"): ("smoothed, over step", "p", "#9C6B1E"),
+    ("located", "tolerance"): ("events located, over tolerance", "o", "#004488"),
+    ("located", "stride"): ("events located, over fixed stride", "D", "#3F8FA3"),
+    ("smoothed", "width"): ("friction smoothed, over width", "s", "#D1570A"),
+    ("smoothed", "step"): ("friction smoothed, over step", "p", "#9C6B1E"),
     ("smoothed", "stride"): ("Runge–Kutta, over stride", "h", "#D9A441"),
     ("diffrax Tsit5", "width"): ("diffrax Tsit5, adaptive", "^", "#7A5195"),
     ("diffrax Dopri8", "width"): ("diffrax Dopri8, adaptive", "v", "#C2185B"),
@@ -317,8 +332,8 @@ def work_precision(ds: xr.Dataset) -> Picture:
         count = counted(int(rows["lanes"].values[0]), "periodic lane")
         plots.append(Plot(_layers(rows, errors[0]), across, up, f"{scene}: {count}", divmod(index, wide)))
     keys: list[Key] = [
-        dots(label="down to the median lane", marker="|", size=9.0),
-        key("range of the repeats", **_RANGE),
+        key("down to the error of the median lane", **_MEDIAN),
+        key("range of the measured times", **_RANGE),
         key("Pareto front", **_BAND),
     ]
     machine = {"processor": "machine unknown", "cores": "?", "jax": "?"} | table_of(ds, "machine")
@@ -336,12 +351,12 @@ def _layers(ds: xr.Dataset, least: float) -> list[Layer]:
     front = ds.isel({SETTING: ds["on_front"].values == 1}).sortby("time_per_lane_second")
     if front.sizes[SETTING]:  # a staircase; settings above and to the right of it are worse
         x, y = front["time_per_lane_second"].values, front["error_worst"].values
-        places, heights = [x[0], *x, _EDGES[1]], [_EDGES[1], *y, y[-1]]
+        places, heights = [x[0], *x, np.inf], [np.inf, *y, y[-1]]
         layers.append(Line(np.repeat(places, 2)[1:], np.repeat(heights, 2)[:-1], order=1.0, **_BAND))
     spread = max(float(ds["reference_spread"].values[0]), 1e-16)
     if spread > 2 * least:  # else it cannot be seen
-        floor = Look(colour=_FLOOR, order=0.0, label="below what the reference can tell")
-        layers.append(Area([-np.inf, np.inf], [_EDGES[0]] * 2, [spread] * 2, **floor))
+        floor = Look(colour=_FLOOR, order=0.0, label="below the error of the reference")
+        layers.append(Area([-np.inf, np.inf], [-np.inf] * 2, [spread] * 2, **floor))
     ds = ds.isel({SETTING: ds["time_per_lane_second"].notnull().values})
     columns = list(zip(*(ds[name].values.tolist() for name in ("method", "varied", "precision")), strict=True))
     for column in dict.fromkeys(columns):
@@ -354,8 +369,8 @@ def _layers(ds: xr.Dataset, least: float) -> list[Layer]:
         fastest, slowest = (here[f"time_per_lane_second_{end}"].values for end in ("min", "max"))
         layers += [
             Line(time, worst, colour, **look),
-            Line(*bars(time, here["error_median"].values, worst), colour, 0.6, alpha=0.55),
-            Line(*bars(worst, fastest, slowest)[::-1], colour, **_RANGE),
+            Line(*bars(time, here["error_median"].values, worst), **_MEDIAN),
+            Line(*bars(worst, fastest, slowest)[::-1], **_RANGE),
         ]
         if (failed != 0).any():
             crosses = time[failed != 0], worst[failed != 0]

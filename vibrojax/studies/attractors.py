@@ -180,7 +180,7 @@ def attractor_shares(ds: xr.Dataset) -> Sheet:
         plot, note = _shares_at_point(ds)
         sheet = Sheet([plot], (6.6, 4.4))
     unassigned = int(ds["unassigned"].sum())
-    lost = counted(unassigned, f"lane of {lanes} ends", f"lanes of {lanes} end") + " in none that could be told"
+    lost = counted(unassigned, f"lane of {lanes} ends", f"lanes of {lanes} end") + " in no known attractor"
 
     # Legend: number, most frequent regime, and basin fraction over the grid.
     names, shares = regime_names(ds[REGIME]), ds["share"].mean([d for d in ds["share"].dims if d != ATTRACTOR])
@@ -286,7 +286,7 @@ def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:
     notes = ["Circles: where the orbits pass the section"] * bool(inside.any())
     for mask, one, many in (
         (orbits & ~inside, "passes the section outside the picture", "pass the section outside the picture"),
-        (~orbits & orbits.any(), "has no orbit", "have no orbit"),
+        (~orbits & orbits.any(), "is not periodic", "are not periodic"),
     ):
         if numbers := [str(k) for k in np.flatnonzero(mask)]:
             several = len(numbers) > 1

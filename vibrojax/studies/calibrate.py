@@ -115,7 +115,7 @@ def _combination_plot(ds: xr.Dataset) -> Plot:
         for k, colour, text in ((known, BIT, "determined"), (~known, FAINT, "vague"))
         if k.any()
     ]
-    return Plot(layers, across, up, "combinations")
+    return Plot(layers, across, up, "combinations of parameters")
 
 
 def _value(ds: xr.Dataset, k: int) -> xr.DataArray:

@@ -64,8 +64,9 @@ def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
     x, y = values_along(ds[f"map_{across}"]), values_along(ds[f"map_{up}"])
     fit = ds["map_feasible"].values == 1
     value = replace(value_of(ds["map_objective"]), label=_objective_label(ds))
-    colours = colours_of(value.of(ds).values[fit], value.colour_map, value.norm)
-    squares = Points(x[fit], y[fit], colours, 4.7, "s", label="map: feasible, without tolerances")
+    values = value.of(ds).values[fit]
+    colours = colours_of(values, value.colour_map, value.norm)
+    squares = Points(x[fit], y[fit], colours, 4.7, "s", label="map: feasible, without tolerances", values=values)
     layers: list[Layer] = [squares, *_infeasible(x[~fit], y[~fit])]
     layers += _marks(values_along(ds[across]), values_along(ds[up]))
     widths = [float(ds.attrs.get(f"tolerance_{name}", 0.0)) * scale(ds[name])[0] for name in (across, up)]
@@ -101,7 +102,7 @@ def _front_plot(ds: xr.Dataset) -> Plot:
 
 
 def _infeasible(x: np.ndarray, y: np.ndarray) -> list[Layer]:
-    return [dots(x, y, marker="x", colour=FAINT, size=2.4, edge_width=0.5, label="map: not feasible")] if x.size else []
+    return [dots(x, y, marker="x", colour=FAINT, size=3.2, edge_width=0.8, label="map: not feasible")] if x.size else []
 
 
 def _marks(x: np.ndarray, y: np.ndarray) -> list[Layer]:

@@ -71,7 +71,9 @@ def campbell(ds: xr.Dataset) -> Sheet:
         for k, line in enumerate(lines):
             along = line.lanes["rpm"].values if turns else x.of(line.lanes)
             for name, dash in _MODES.items():
-                layers.append(Line(along, np.broadcast_to(line.lanes[name].values, along.shape), FAINT, 1.5, dash))
+                layers.append(
+                    Line(along, np.broadcast_to(line.lanes[name].values, along.shape), FAINT, 1.5, dash, order=1.0)
+                )
             for name, marker in _MOTIONS.items():
                 if name in line.lanes:
                     values = np.broadcast_to(line.lanes[name].values, along.shape)
@@ -102,7 +104,7 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
     """Draw the rate of penetration over the mean force P, with the onset: the force at which penetration begins.
 
     The onset lies between a lane without penetration, drawn hollow, and the next one with it. Lines are the fitted law
-    C ln(P/P0).
+    C ln(P/P₀).
 
     **Raises:** `InputError` if the dataset holds no rates over an axis.
     """
@@ -156,7 +158,7 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
                 layers.append(Line(of_force * along, factor * values, line.colour))
         return Plot(layers, across, up)
 
-    marks: list[Key] = [key("fitted law C ln(P/P0)", width=1.2)]
+    marks: list[Key] = [key("fitted law C ln(P/P₀)", width=1.2)]
     marks += [dots(label="no penetration", face="white")] * bool((ds[RATE] == 0).any())
     marks += [Area(colour=FAINT, alpha=0.3, label="onset")] * few
     sheet = row_per_facet(ds, x, by, [draw], [])

@@ -64,7 +64,7 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     rest = ds.sizes["of"] - len(of)
     further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
     level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
-    about = f"Lines: intervals of {level} confidence; pairs within theirs of 0 are pale and in brackets"
+    about = f"Lines: intervals of {level} confidence; pairs whose interval contains 0 are pale, in brackets"
     shares = np.concatenate([ds[name].values.ravel() for name in ("first_order", "total_order")])
     beyond = "Shares beyond 0 and 1, from too few samples, end there" * bool(((shares < 0) | (shares > 1)).any())
     notes = "Titles: mean ± standard deviation", about, beyond, further

@@ -31,7 +31,7 @@ from vibrojax.pictures.branches import (
     stable_intervals,
 )
 from vibrojax.pictures.colours import Value
-from vibrojax.pictures.plots import Axis, Layer, Line, Plot, Points, Sheet, colours_of, level, upright
+from vibrojax.pictures.plots import Axis, Layer, Line, Look, Plot, Points, Sheet, colours_of, level, upright
 from vibrojax.pictures.starts import SYMBOLS
 from vibrojax.pictures.style import colour_map
 from vibrojax.settings.fields import given, setting
@@ -176,7 +176,7 @@ def families(ds: xr.Dataset, names: Sequence[str] = ()) -> Sheet:
 
 def _label(ds: xr.Dataset, name: str) -> str:
     if name == LARGEST:
-        return "largest modulus\nof the multipliers"
+        return "largest |multiplier|"
     if name == LEADING:
         return "largest real part of\nthe eigenvalues [1/s]"
     state = name.removeprefix("orbit_")
@@ -204,12 +204,12 @@ def _plane(ds: xr.Dataset, every: Sequence[Branch]) -> tuple[Plot, str]:
         sides = [float(np.clip(1.1 * modulus[np.isfinite(modulus)].max(initial=0.0), *_HALF_PLANE))] * 2
         values = (modulus * np.exp(1j * argument)).reshape(len(points), -1)
     norm = Normalize(along[points].min(), along[points].max()) if len(points) else Normalize(0.0, 1.0)
-    colours = colours_of(along[points], colour_map(), norm)
+    look: Look = {"colours": colours_of(along[points], colour_map(), norm), "sizes": 3.5, "values": along[points]}
     if many:
-        colours = [branch.colour for branch in shown for _ in branch.points.tolist()]
+        look = {"colours": [branch.colour for branch in shown for _ in branch.points.tolist()], "sizes": 2.2}
     for column in values.T if len(points) else ():
         for mirrored in (column, column.conj()):
-            layers.append(Points(mirrored.real, mirrored.imag, colours, 2.2 if many else 3.5, order=3.0))
+            layers.append(Points(mirrored.real, mirrored.imag, order=3.0, **look))
     name, unit = str(parameter.name), " [1/s]" * standing
     value = Value(name, label(parameter, 60), scale(parameter)[0], norm, "neither", colour_map())
     parts = zip(("real", "imaginary"), sides, strict=True)

@@ -106,10 +106,10 @@ def _sides(ds: xr.Dataset, state: str) -> Plot:
         height = float(size) if leaves else bound if stable else 0.0
         look: Look = {"edge": "#595959"} if leaves else _RETURNS
         fill = REGIME_COLOURS[int(flag)] if leaves else _PALE
-        text = number(float(f"{size:.3g}")) if leaves else "returns" if stable else "no stable\ncycle"
-        up = height if leaves else height / 2
         layers.append(Bars([side - 0.3], [0.0], [0.6], [height], fill, **look))
-        layers.append(Text(float(side), up, text, baseline="bottom", halo=1.5 * leaves, offset=(0.0, 3.0 * leaves)))
+        if leaves or not stable:
+            text = number(float(f"{size:.3g}")) if leaves else "no stable\ncycle"
+            layers.append(Text(float(side), height, text, baseline="bottom", halo=1.5, offset=(0.0, 3.0)))
     ticks = [(float(k), _SIDES[int(sign)][2].removesuffix(" push")) for k, sign in enumerate(ds["sign"].values)]
     top = 1.13 * float(np.nanmax([bound, *(push.values * factor)]))
     label = with_unit(f"push in {SYMBOLS.get(state, state)}", unit)

@@ -258,8 +258,8 @@ def read_names(place: Place, value: str | Sequence[str], known: Collection[str])
     return names
 
 
-SMALLEST_DRAWN, GREATEST_COLOURED = 0.05, 1.5
-"""Elasticity below which a cell shows no number, and above which its colour does not change."""
+GREATEST_COLOURED = 1.5
+"""Elasticity above which the colour of a cell does not change."""
 
 _MOST_NUMBERS = 8  # parameters of a narrow picture whose cells hold numbers
 
@@ -292,8 +292,10 @@ def elasticities(ds: xr.Dataset) -> Sheet:
     layers: list[Layer] = [Cells(across, up, table, pale, norm, hatched=False)]
     fits = not is_narrow() or len(by) <= _MOST_NUMBERS
     for (i, j), x in np.ndenumerate(table):
-        if fits and abs(x) >= SMALLEST_DRAWN:
-            layers.append(Text(float(j), float(i), f"{x:.1f}".replace("-", "−"), colour="#000000", size=7.0))
+        if fits and np.isfinite(x):
+            layers.append(
+                Text(float(j), float(i), f"{round(x, 1) + 0.0:.1f}".replace("-", "−"), colour="#000000", size=7.0)
+            )
     signs = symbols_of(ds)
     ticks = [[(float(k), signs.get(x, x)) for k, x in enumerate(texts)] for texts in (by, list(rows))]
     plot = Plot(layers, Axis("parameter", ticks=ticks[0]), Axis(ticks=ticks[1], reversed=True), scale=coding)

@@ -22,14 +22,15 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       line(c, x, y, sx, sy, colour(item.colour), Math.max(1, item.width), item.dash);
       read(nameOf(item, item.colour, "line"), x, y, { joined: true });
     } else if (item.kind === "points") {
-      const { colours, sizes } = item, faint = colours.some((own) => colour(own) !== own);
+      const { colours, sizes, values } = item, faint = colours.some((own) => colour(own) !== own);
       x.forEach((value, k) => {
         if (value === null || y[k] === null) return;
         const own = colours[k % colours.length] ?? "#222222", shade = colours.length === 1 || labels.has(own) ? colour(own) : own, size = POINT * Math.max(1.2, sizes[k % sizes.length] ?? 2);
         if (item.hollow) mark(c, item.shape, sx(value), sy(y[k]), size, item.hollow === "none" ? "transparent" : ink.plate, colour(own));
         else mark(c, item.shape, sx(value), sy(y[k]), size, shade, colour(shade) !== shade || (size > 2.6 && faint && shade === own) ? ink.faint : size > 2.6 ? ink.plate : null);
       });
-      read(nameOf(item, colours[0], item.shape, "line"), x, y);
+      if (colours.length === 1) read(nameOf(item, colours[0], item.shape, "line"), x, y);
+      else read("", x, y, { texts: colours.map((own, k) => (values.length ? numberText(values[k]) : nameOf(item, own, item.shape, "line"))) });
     } else if (item.kind === "area") {
       c.globalAlpha = item.alpha;
       c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 0.5 ? colour(item.colour) : item.colour;
@@ -37,6 +38,7 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       x.forEach((value, k) => (k ? c.lineTo(sx(value), sy(y[k])) : c.moveTo(sx(value), sy(y[k]))));
       c.closePath();
       c.fill();
+      if (item.alpha === 1) { Object.assign(c, { strokeStyle: c.fillStyle, lineWidth: 0.6 }); c.stroke(); }  // else hairlines part neighbours
       c.globalAlpha = 1;
       const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
       if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]], ...(item.at[1] === y[2] ? { low: [y[0]] } : {}) });

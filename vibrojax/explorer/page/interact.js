@@ -95,7 +95,7 @@ export function interactive(canvas, draw, { about = () => ({ title: "" }), files
     const { x: sx, y: sy, xAxis, yAxis } = canvas.frame, { series, k } = found, [u, v] = [sx(found.x) + canvas.offsetLeft, sy(found.y) + canvas.offsetTop];
     const up = readText(series.name ? { ...yAxis, said: (yAxis.said ?? yAxis.label ?? "").replace(/^[^[]*(?=\[)/, " ") } : yAxis, series.low ? found.y - series.low[k] : found.y), text = series.low ? null : series.texts?.[k];
     canvas.parentNode.append(ring, tip);
-    tip.replaceChildren(...[[series.name, text ?? up].filter(Boolean).join(": "), ...(text && series.edges ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
+    tip.replaceChildren(...[[series.name, text || up].filter(Boolean).join(": "), ...(text ? [readText(yAxis, found.y)] : []), readText(xAxis, found.x)].map((line, n) => el(n ? "span" : "b", { text: line })));
     ring.style.cssText = `left:${u}px;top:${v}px`;
     tip.style.left = `${Math.max(2, Math.min(u + 12, canvas.parentNode.clientWidth - tip.offsetWidth - 2))}px`;
     tip.style.top = `${v > canvas.offsetTop + canvas.clientHeight / 2 ? v - tip.offsetHeight - 10 : v + 12}px`;

@@ -85,6 +85,9 @@ function fewTicks({ limits, log }, wanted) {
   return found;
 }
 
+/** As many digits as tell the ticks of an axis apart. */
+const digitsOf = ({ limits: [low, high] }) => Math.min(15, Math.max(5, 3 + Math.ceil(Math.log10(Math.max(Math.abs(low), Math.abs(high)) / (high - low)) || 0)));
+
 /** A scale from values to pixels. */
 export function scaleOf(low, high, from, to, log = false) {
   const map = log ? Math.log : (x) => x, a = map(low), b = map(high);
@@ -149,7 +152,7 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   if (y.bare) y = { ...y, said: y.label, label: "" };
   c.font = `11px ${FONT}`;
   c.textBaseline = "middle";
-  const textOf = (axis, value) => (axis.bare ? "" : numberText(!axis.log && Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, 5));
+  const textOf = (axis, value) => (axis.bare ? "" : numberText(!axis.log && Math.abs(value) < 1e-12 * (axis.limits[1] - axis.limits[0]) ? 0 : value, digitsOf(axis)));
   const yTicks = options.empty ? [] : y.ticks ?? ticks(...y.limits, Math.max(3.2, height / 42), y.log).map((v) => [v, textOf(y, v)]);
   const wide = Math.max(0, ...yTicks.map(([, text]) => c.measureText(text).width));
   const left = Math.round(options.left ?? wide + (y.label ? 30 : 12)), bottom = x.label ? 36 : 20, top = options.top ?? 8;
@@ -255,7 +258,7 @@ const AROUND = (count, ...radii) => Array.from({ length: count * radii.length },
 
 /** The marks by their names in the pictures, as matplotlib has them: corners of an area, or strokes, of size 1. */
 const AREAS = {
-  s: [[-1, -1], [1, -1], [1, 1], [-1, 1]], D: AROUND(4, 1.3), "*": AROUND(5, 1.6, 0.62), _: [[-1.6, -0.35], [1.6, -0.35], [1.6, 0.35], [-1.6, 0.35]], "|": [[-0.35, -1.6], [0.35, -1.6], [0.35, 1.6], [-0.35, 1.6]],
+  s: [[-1, -1], [1, -1], [1, 1], [-1, 1]], D: AROUND(4, 1.3), p: AROUND(5, 1.2), h: AROUND(6, 1.2), "*": AROUND(5, 1.6, 0.62), _: [[-1.6, -0.35], [1.6, -0.35], [1.6, 0.35], [-1.6, 0.35]], "|": [[-0.35, -1.6], [0.35, -1.6], [0.35, 1.6], [-0.35, 1.6]],
   "^": [[0, -1.2], [1, 1], [-1, 1]], v: [[0, 1.2], [1, -1], [-1, -1]], "<": [[-1.2, 0], [1, 1], [1, -1]], ">": [[1.2, 0], [-1, 1], [-1, -1]],
   P: [[-0.4, -1.1], [0.4, -1.1], [0.4, -0.4], [1.1, -0.4], [1.1, 0.4], [0.4, 0.4], [0.4, 1.1], [-0.4, 1.1], [-0.4, 0.4], [-1.1, 0.4], [-1.1, -0.4], [-0.4, -0.4]],
 };
