@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import systems
+from matplotlib.text import Text
 from refusals import refusal
 from scipy.integrate import solve_ivp
 from systems import BALL, BELT, BILINEAR, IMPACT_OSCILLATOR, RELAY, VAN_DER_POL, ends, events_of, mass, names_of
@@ -227,6 +228,8 @@ def test_parameters_have_units_of_pint(tmp_path):
     ds = vj.run_sweep({"scene": torsion, "grid": {"k": [1.0, 2.0]}, "starts": [[1.0, 0.0]]}, progress=False)
     assert ds.k.units == "N m rad-1" and ds.x_amplitude.units == "deg"
     assert "k [N m/rad]" in [axes.get_xlabel() for axes in vj.picture(ds, variable="x_amplitude").axes]
+    figure = vj.picture(vj.simulate(torsion, duration=10.0, progress=False))
+    assert any("k = 1 N m/rad" in text.get_text() for text in figure.findobj(Text))
 
 
 def test_default_times_follow_slowest_oscillation():

@@ -67,6 +67,11 @@ def parameters_of(ds: xr.Dataset) -> dict[str, float]:
     return {name: float(value) for name, value in _read(ds, "parameters", {}).items()}
 
 
+def parameter_units_of(ds: xr.Dataset) -> dict[str, str]:
+    """Return the units of the parameters of a scene of the user's own, by name; those of the package have the rest."""
+    return {name: printable(unit, LONGEST_NAME) for name, unit in _read(ds, "parameter_units", {}).items()}
+
+
 def differing_of(ds: xr.Dataset) -> list[Differing]:
     """Return the fixed parameters whose values differ from the defaults."""
     differing: list[Differing] = _read(ds, "differing", [])
@@ -192,6 +197,7 @@ _SCHEMA: dict[str, Any] = {
     "run": {"settle?": _time, "observe?": _time, "error?": _time, "carry?": _axis},
     "robust": lambda place, value: value if isinstance(value, str) else _number(place, value),  # a loss, or 1
     "differing": [{"name": _name, "symbol?": str, "units?": str, "value": _float, "default": _float}],
+    "parameter_units": {...: str},
     "columns": {...: _COLUMN},
     **dict.fromkeys(("dropped", "left_out_rows"), _ROWS),
     "orbits": {"grazing_limit?": _float},

@@ -24,6 +24,7 @@ from vibrojax.maps.sweep import DIRECTIONS, Sweep
 from vibrojax.measures.labels import hides_another, shares_transient
 from vibrojax.physics.parameters import differing, substitutes
 from vibrojax.progress import LOG, quiet
+from vibrojax.scenes import SCENES, Scene
 
 REGION, REGION_BYTES = 1 << 16, 32e6
 """Maximum number of lanes that are read and written together, and approximate limit on their variables [bytes]."""
@@ -198,9 +199,16 @@ def shared_attributes(sweep: Sweep, kind: str, title: str, command: str) -> dict
     return {
         **dataset_attributes(kind, title, command, scene=sweep.scene),
         **sweep.options,
-        "parameters": json.dumps(sweep.parameters),
-        "differing": json.dumps(differing(sweep.system.parameters(), sweep.parameters)),
+        **attributes_of_parameters(sweep.system, sweep.parameters),
     }
+
+
+def attributes_of_parameters(scene: Scene[Any], values: Mapping[str, float]) -> dict[str, str]:
+    """Return the attributes that state the fixed parameters, with units of those that other processes do not know."""
+    table = scene.parameters()
+    stated = {"parameters": json.dumps(values), "differing": json.dumps(differing(table, values))}
+    units = {name: table[name].unit for name in values if name in table and table[name].unit != "1"}
+    return stated | ({"parameter_units": json.dumps(units)} if units and scene.name not in SCENES else {})
 
 
 def coordinates(sweep: Sweep, rows: Mapping[str, int]) -> dict:

@@ -11,7 +11,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from vibrojax.errors import counted, printable
-from vibrojax.io.attributes import certified_of, differing_of, flag_counts, parameters_of, text_of
+from vibrojax.io.attributes import certified_of, differing_of, flag_counts, parameter_units_of, parameters_of, text_of
 from vibrojax.pictures.plots import Axis
 from vibrojax.scenes import SCENES
 
@@ -197,8 +197,9 @@ def point_text(ds: xr.Dataset) -> str:
     about = {} if scene is None else scene().parameters()
     listed = [name for name in _LISTED if name in about and name in values]
     records = {name: (about[name].symbol, about[name].unit, values[name]) for name in listed}
-    if scene is None:  # of the user's own: the file does not state the units
-        records = {printable(x, 40): (printable(x, 40), "", values[x]) for x in [*values][:_MOST_OWN]}
+    if scene is None:  # of the user's own
+        units = parameter_units_of(ds)
+        records = {printable(x, 40): (printable(x, 40), units.get(x, ""), values[x]) for x in [*values][:_MOST_OWN]}
     for x in differing_of(ds):
         records.setdefault(x["name"], (printable(x["symbol"], 40), printable(x["units"], 40), x["value"]))
     for name, (sign, unit, value) in records.items():

@@ -15,6 +15,7 @@ from vibrojax.io.attributes import parameters_of, text_of
 from vibrojax.io.kinds import OF_CURVES, SPECIAL_KINDS, dataset_attributes, kind_of
 from vibrojax.io.variables import VARIABLES, described, orbit_name
 from vibrojax.lanes.labels import measured_besides, of_orbits
+from vibrojax.maps.dataset import attributes_of_parameters
 from vibrojax.maps.read import read_point
 from vibrojax.periodic.codim2 import CONTINUED
 from vibrojax.periodic.curve_branching import condition_at, with_branches, without_duplicates
@@ -25,7 +26,7 @@ from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, check_changes_orbits
 from vibrojax.periodic.return_map import MOST_STEPS, Segments
 from vibrojax.physics.meanings import suggest_parameter
-from vibrojax.physics.parameters import Parameter, differing
+from vibrojax.physics.parameters import Parameter
 from vibrojax.pictures.branches import (
     along_name,
     branches,
@@ -373,8 +374,7 @@ def curves_dataset(spec: CurvesSpec, problem: CurveProblem, curves: list[Curve])
     attributes = {
         **dataset_attributes("curves", title, "curves", scene=scene),
         **spec.options,
-        "parameters": json.dumps(fixed),
-        "differing": json.dumps(differing(spec.scene.parameters(), fixed)),
+        **attributes_of_parameters(spec.scene, fixed),
         "axes": [spec.along, spec.by],
         "bounds": [*spec.first_span, *spec.span],
         "orbits": json.dumps(orbits),

@@ -142,6 +142,7 @@ NEGLIGIBLE = 1e-3
 
 _OF, _PARAMETER = ("of",), ("of", "parameter")
 _PAIR = ("of", "parameter", "other")
+_KEPT = ("parameters", "parameter_units", "differing", "run", "solver")  # attributes of the lanes
 
 RULED = {
     "set_to_zero": ("lane without impacts counts as 0", "lanes without impacts count as 0"),
@@ -342,7 +343,7 @@ class Studies(FileAnalysis[Study]):
             coords,
             title=sweep.title,
             scene=sweep.scene,
-            **{name: lanes.attrs[name] for name in ("parameters", "differing", "run", "solver") if name in lanes.attrs},
+            **{name: lanes.attrs[name] for name in _KEPT if name in lanes.attrs},
             study=spec.text,
             rules=RULES,
             samples=sampling.samples,

@@ -13,6 +13,7 @@ from vibrojax.io.attributes import (
     history_of,
     hole_radius_of,
     lane_count,
+    parameter_units_of,
     parameters_of,
     run_of,
     text_of,
@@ -131,7 +132,10 @@ def _fixed_lines(ds: xr.Dataset) -> list[str]:
         changed[row["name"]] = f"{row['name']} = {row['value']:g}{unit} (default {row['default']:g})"
     if "differing" in ds.attrs and values.get("bit_radius", HOLE_RADIUS) != HOLE_RADIUS:
         changed["bit_radius"] = f"bit_radius = {values['bit_radius']:g} m (default {HOLE_RADIUS:g})"
-    others = ", ".join(f"{name} = {value:g}" for name, value in values.items() if name not in changed)
+    units = parameter_units_of(ds)
+    others = ", ".join(
+        f"{name} = {value:g} {units.get(name, '')}".rstrip() for name, value in values.items() if name not in changed
+    )
     default = "by default: " if "differing" in ds.attrs else ""
     return [*changed.values(), *([default + others] if others else [])]
 

@@ -26,9 +26,9 @@ from vibrojax.lanes.record import (
     states_shown,
     window,
 )
+from vibrojax.maps.dataset import attributes_of_parameters
 from vibrojax.maps.read import Point, read_point
 from vibrojax.measures.labels import FEWEST_RETURNS
-from vibrojax.physics.parameters import differing
 from vibrojax.pictures.axes import pretty_unit, scale
 from vibrojax.pictures.hole import pulses, response
 from vibrojax.pictures.motion import states_over_time, trajectory, unsettled_text
@@ -207,6 +207,7 @@ class Trajectories(MachineAnalysis[Point]):
             variables["event_time"] = Variable("s", "time of the event").entry("event", moments)
             variables["event_kind"] = Variable("1", "what happened", np.int8, KINDS).entry("event", kinds)
             variables |= recording
+        about |= attributes_of_parameters(system, point.parameters)
         if point.start is not None:
             about["start"] = point.start if isinstance(point.start, str) else json.dumps(list(point.start))
         return self.dataset(
@@ -214,8 +215,6 @@ class Trajectories(MachineAnalysis[Point]):
             {"time": ("time", motion.times, {"units": "s", "long_name": "time"})},
             title=f"{point.scene}: trajectory",
             scene=point.scene,
-            parameters=json.dumps(point.parameters),
-            differing=json.dumps(differing(system.parameters(), point.parameters)),
             solver=json.dumps(solver),
             **about,
         )
