@@ -108,14 +108,14 @@ def test_verdict_names_form_that_describes_data(noise):
     lines = verdict(fit)
     assert lines[:3] == [
         "by AIC, in 1 of 1:",
-        "  all lanes: the data support onset, C ln(eta/eta0), against the other forms",
+        "  all lanes: the data support onset, C ln(η/η₀), against the other forms",
         "the log law is not rejected in 1 of 1, as onset in 1",
     ]
-    assert lines[3].startswith("the onset eta0 0.2") and "the literal form has no rate there" in lines[3]
+    assert lines[3].startswith("the onset η₀ 0.2") and "the literal form has no rate there" in lines[3]
     fit = fitted(np.stack([log, line, 0 * line]) * noise_factor)
     lines = verdict(fit)
     assert lines[0] == "not every form can be told in 1 of 3: all-censored 1" and fit.attrs["verdict"] == "none"
-    assert "  group=1: the data support line, C (eta - eta0), against the other forms" in lines
+    assert "  group=1: the data support line, C (η − η₀), against the other forms" in lines
     assert "the log law is not rejected in 1 of 2, as onset in 1" in lines and lines[-1].startswith("  group=0: C = ")
     assert verdict(fitted(0 * line))[-1] == "no form can be told from the lanes that are there"
     # Rates that do not depend on the relief determine no C of a form whose onset is a convention.

@@ -81,7 +81,9 @@ _TAKEN = 1 - 1e-10  # share of a block that is left out, so that the other lanes
 
 @dataclass(frozen=True)
 class Form:
-    """A formula of the law. `of_log`: whether the rate is a function of ln(eta); `size`: number of coefficients.
+    """A formula of the law, with the exponent n. `of_log`: whether the rate is a function of ln(eta).
+
+    `size`: number of coefficients.
 
     `rate` is the formula as a function of eta and the coefficients C, eta0 and exponent. A fit determines theta: the
     rate (of power: its logarithm) is theta_0 t, or theta_0 + theta_1 t, where t is ln(eta), ln(100 eta), eta or 1.
@@ -126,11 +128,11 @@ class Form:
 
 
 FORMS = (
-    Form("literal", "C ln(eta)", 1, True, lambda eta, C, eta0, exponent: C * np.log(eta)),
-    Form("percent", "C ln(100 eta)", 1, True, lambda eta, C, eta0, exponent: C * np.log(100.0 * eta)),
-    Form("onset", "C ln(eta/eta0)", 2, True, lambda eta, C, eta0, exponent: C * np.log(eta / eta0)),
-    Form("line", "C (eta - eta0)", 2, False, lambda eta, C, eta0, exponent: C * (eta - eta0)),
-    Form("power", "C eta^exponent", 2, True, lambda eta, C, eta0, exponent: C * eta**exponent),
+    Form("literal", "C ln(η)", 1, True, lambda eta, C, eta0, exponent: C * np.log(eta)),
+    Form("percent", "C ln(100 η)", 1, True, lambda eta, C, eta0, exponent: C * np.log(100.0 * eta)),
+    Form("onset", "C ln(η/η₀)", 2, True, lambda eta, C, eta0, exponent: C * np.log(eta / eta0)),
+    Form("line", "C (η − η₀)", 2, False, lambda eta, C, eta0, exponent: C * (eta - eta0)),
+    Form("power", "C ηⁿ", 2, True, lambda eta, C, eta0, exponent: C * eta**exponent),
     Form("constant", "C", 1, False, lambda eta, C, eta0, exponent: C * np.ones_like(eta)),
 )
 
