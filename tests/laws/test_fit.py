@@ -154,6 +154,8 @@ def test_three_lanes_are_too_few_to_compare_forms():
     for fit in (fitted(np.array([1e-3, 2e-3, 2.5e-3]), np.array([0.5, 0.6, 0.7])), fit_rop(table, progress=False)):
         assert verdict(fit)[0].endswith("too-few-lanes 1 (4 lanes with a rate are needed)")
         assert not any("nan" in str(key.label) for column in sheet_of(fit).keys for key in column)
+    many = pd.DataFrame({"ROP (m/h)": np.linspace(10, 30, 60), "WOB (kN)": np.linspace(50, 100, 60)})
+    assert set(reasons(fit_rop(many, progress=False, columns={"relief": "0.5"}))) == {"no-spread"}
 
 
 def test_failed_and_irregular_lanes_are_omitted_and_counted():

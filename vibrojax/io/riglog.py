@@ -357,20 +357,19 @@ def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines:
 
     **Raises:** `InputError` if that sequence holds less than half of the rows.
     """
-    rows = np.flatnonzero(kept)
+    rows, dropped = np.flatnonzero(kept), kept.copy()
     ends: list[float] = []  # least end of a sequence of each length (patience sorting)
-    last: list[int] = []
-    previous: list[int] = []
-    for position, value in enumerate(depth[rows].tolist()):
-        length = bisect_right(ends, value)
-        previous.append(last[length - 1] if length else -1)
-        ends[length : length + 1], last[length : length + 1] = [value], [position]
+    lengths = []  # of the longest sequence that ends at a row
+    for value in depth[rows].tolist():
+        lengths.append(bisect_right(ends, value))
+        ends[lengths[-1] : lengths[-1] + 1] = [value]
     if 2 * len(ends) < rows.size:
         here = place.at(f"line {lines[rows[int(np.argmax(np.diff(depth[rows]) < 0)) + 1]]}, column {column.header}")
         raise here.error(f"the depth falls in most rows (only {len(ends)} of {rows.size} in order); sort them by depth")
-    dropped, position = kept.copy(), last[-1] if last else -1
-    while position >= 0:
-        dropped[rows[position]], position = False, previous[position]
+    wanted, greatest = len(ends) - 1, np.inf
+    for row, length in zip(rows[::-1].tolist(), lengths[::-1], strict=True):
+        if length == wanted and depth[row] <= greatest:
+            dropped[row], wanted, greatest = False, wanted - 1, depth[row]
     return dropped
 
 

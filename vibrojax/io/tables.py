@@ -121,11 +121,11 @@ def decimal_mark(columns: "Iterable[pd.Series]") -> str:
 
 def with_points(cells: "pd.Series", mark: str) -> "pd.Series":
     """Return text cells with decimal points, and without marks between thousands; `mark`: their decimal mark."""
-    if not mark:
+    if not mark or (mark == "." and not cells.str.contains(",", regex=False).any()):
         return cells
     other = "," if mark == "." else "."
     cells = cells.where(~cells.str.fullmatch(_THOUSANDS[other]), cells.str.replace(other, "", regex=False))
-    return cells.where(~(cells.str.fullmatch(_NUMBERS[","]) & (mark == ",")), cells.str.replace(",", ".", regex=False))
+    return cells.str.replace(",", ".", regex=False) if mark == "," else cells
 
 
 def to_numbers(
@@ -135,11 +135,13 @@ def to_numbers(
 
     `mark`: the decimal mark, as `decimal_mark` returns it; `nulls`: what stands for a missing value, in small letters.
     """
-    cells = with_points(cells.fillna("").str.strip(), mark)
-    missing = ((cells == "") | cells.str.casefold().isin(nulls)).to_numpy(bool)
-    values = np.array([float(cell) if is_number(cell) else np.nan for cell in cells.mask(missing, "nan")])
-    bad = ~np.isfinite(values) & ~missing
-    return np.where(np.isin(values, [float(null) for null in nulls if is_number(null)]) | bad, np.nan, values), bad
+    cells = with_points(cells.fillna(""), mark)
+    values = pd.to_numeric(cells, errors="coerce").to_numpy(float, copy=True)
+    bad = ~np.isfinite(values)
+    texts = cells[bad]
+    bad[bad] = ~((texts == "") | texts.str.casefold().isin(nulls))
+    values[bad | np.isin(values, pd.to_numeric(list(nulls), errors="coerce"))] = np.nan
+    return values, bad
 
 
 # Files of logs

@@ -118,7 +118,7 @@ def fit_lanes(
     `has_force`: whether `weight` is the mean force, without which no founder weight is sought.
     """
     founder, wrong = Founder(), dict[str, LaneFlags]()
-    if measured and rate.size >= LEAST_CLEANED and (rate > 0).any():
+    if measured and rate.size >= LEAST_CLEANED and (rate > 0).any() and np.ptp(relief) > 0:
         founder, wrong = clean(relief, weight, rate, robust, has_force)
     keep = ~np.any([np.zeros(rate.size, bool), *wrong.values()], axis=0)
     above = keep & (weight > founder.end)  # none, if that is NaN
