@@ -172,6 +172,7 @@ def _quantities(
     **Raises:** `InputError` with all cells of needed quantities that are not numbers, or all needed columns whose unit
     is only assumed and unlikely. Other quantities with such a unit are left out.
     """
+    own = {column.index for column in chosen.values()}
     texts = {key: cells.iloc[:, column.index] for key, column in chosen.items() if column.index is not None}
     texts = {key: text.mask(text.str.casefold().isin(missing), "") for key, text in texts.items()}
     mark = tables.decimal_mark(texts[key] for key in texts if key in needed) or tables.decimal_mark(texts.values())
@@ -216,7 +217,7 @@ def _quantities(
         fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(likely)}"
         choice = " (choose one unit)" * any(" or " in word for word in likely.values())
         raise place.error(f"{fault}; likely --columns {' '.join(likely.values())}{choice}")
-    table[LINE], own = cells.index.to_numpy(), {column.index for column in chosen.values()}
+    table[LINE] = cells.index.to_numpy()
     for k, name in enumerate(map(str, cells.columns)):
         if k not in own and name not in ("", "row", *table):
             numbers, wrong = tables.to_numbers(cells.iloc[:, k], mark, missing)
@@ -230,8 +231,8 @@ def _times(about: Column, cells: pd.DataFrame, text: pd.Series, numbers: Rows, w
     The `text` holds `numbers` (except where `wrong`), dates with times, times of the day that may pass midnight, or
     times beside a column of days.
     """
-    empty, days = (text == "").to_numpy(), cells.loc[:, [known.recognise(str(x))[0] == known.DATE for x in cells]]
-    days = days.iloc[:, :1].sum(axis=1) if about.index is not None and not days.empty else None
+    dates = [k for k, name in enumerate(cells) if known.recognise(str(name))[0] == known.DATE and k != about.index]
+    days, empty = cells.iloc[:, dates[0]] if dates else None, (text == "").to_numpy()
     if days is None and not wrong.any():
         values = about.factor * numbers
     elif days is None and text[~empty].str.fullmatch(_CLOCK).mean() > 0.5:

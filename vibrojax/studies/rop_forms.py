@@ -46,7 +46,7 @@ REASONS = tuple(reason.name.lower().replace("_", "-") for reason in Reason)
 """Names of the reasons as stored in datasets."""
 
 LEAST_SPREAD = 1e-6
-"""Standard deviation of ln(eta) below which values count as equal: instruments resolve less."""
+"""Standard deviation of ln(eta) below which values count as equal: no instrument resolves it."""
 
 EXACT = 1e-9
 """Standard deviation of residuals, or of rates, over the greatest rate, below which it is a rounding error."""

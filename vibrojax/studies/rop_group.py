@@ -180,7 +180,6 @@ def _wrong_rates(residual: Lanes, weight: Lanes) -> LaneFlags:
 class _Profile(NamedTuple):
     """Fits of a form for several founder weights: sums of squares, theta and the fall, its error, and residuals."""
 
-    form: Form
     squares: Float[np.ndarray, " bends"]
     theta: Float[np.ndarray, "bends coefficients"]
     fall_stderr: Float[np.ndarray, " bends"]
@@ -255,7 +254,7 @@ def _profile(
     residual = np.where(rate > 0, np.maximum(law, 0.0) - theta[:, 2] * excess - rate, 0.0)
     squares = np.maximum(np.sum(whiten(residual, decay) ** 2, axis=0), _TINY)
     errors = np.sqrt(inverse[:, 2, 2] * squares / max(rate.size - 4, 1))
-    return _Profile(form, squares, theta, errors, residual)
+    return _Profile(squares, theta, errors, residual)
 
 
 # Correlated rows
