@@ -153,7 +153,7 @@ def law(grid):
     dims, attributes = (*grid, "form"), {"units": "m s-1", "long_name": "coefficient"}
     variables = {"C": (dims, C, attributes), "C_stderr": (dims, 0.05 * np.abs(C), attributes), "aic": (dims, aic)}
     coords = {name: np.asarray(values) for name, values in grid.items()} | {"form": FORMS}
-    formulas = "literal: C ln(eta); percent: C ln(100 eta); onset: C ln(eta/eta0); line: C (eta - eta0)"
+    formulas = "literal: C ln(η); percent: C ln(100 η); onset: C ln(η/η₀); line: C (η − η₀)"
     return dataset(variables, coords, title="a law", along="frequency", formulas=formulas)
 
 

@@ -108,14 +108,14 @@ def test_verdict_names_form_that_describes_data(noise):
     lines = verdict(fit)
     assert lines[:3] == [
         "by AIC, in 1 of 1:",
-        "  all lanes: the data support onset, C ln(eta/eta0), against the other forms",
+        "  all lanes: the data support onset, C ln(η/η₀), against the other forms",
         "the log law is not rejected in 1 of 1, as onset in 1",
     ]
-    assert lines[3].startswith("the onset eta0 0.2") and "the literal form has no rate there" in lines[3]
+    assert lines[3].startswith("the onset η₀ 0.2") and "the literal form has no rate there" in lines[3]
     fit = fitted(np.stack([log, line, 0 * line]) * noise_factor)
     lines = verdict(fit)
     assert lines[0] == "not every form can be told in 1 of 3: all-censored 1" and fit.attrs["verdict"] == "none"
-    assert "  group=1: the data support line, C (eta - eta0), against the other forms" in lines
+    assert "  group=1: the data support line, C (η − η₀), against the other forms" in lines
     assert "the log law is not rejected in 1 of 2, as onset in 1" in lines and lines[-1].startswith("  group=0: C = ")
     assert verdict(fitted(0 * line))[-1] == "no form can be told from the lanes that are there"
     # Rates that do not depend on the relief determine no C of a form whose onset is a convention.
@@ -154,6 +154,8 @@ def test_three_lanes_are_too_few_to_compare_forms():
     for fit in (fitted(np.array([1e-3, 2e-3, 2.5e-3]), np.array([0.5, 0.6, 0.7])), fit_rop(table, progress=False)):
         assert verdict(fit)[0].endswith("too-few-lanes 1 (4 lanes with a rate are needed)")
         assert not any("nan" in str(key.label) for column in sheet_of(fit).keys for key in column)
+    many = pd.DataFrame({"ROP (m/h)": np.linspace(10, 30, 60), "WOB (kN)": np.linspace(50, 100, 60)})
+    assert set(reasons(fit_rop(many, progress=False, columns={"relief": "0.5"}))) == {"no-spread"}
 
 
 def test_failed_and_irregular_lanes_are_omitted_and_counted():

@@ -178,7 +178,7 @@ def test_command_prints_tables_and_writes_fit(tmp_path, monkeypatch, capsys):
     assert main(["fit", "map.nc"]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "force=200000 N: 8 lanes along frequency"
-    assert printed[1].split() == ["form", "C", "[m/s]", "eta0", "exponent", "R2", "AIC"]
+    assert printed[1].split() == ["form", "C", "[m/s]", "η₀", "exponent", "n", "R2", "AIC"]
     assert printed[4].startswith("  onset") and "0.0013 ± " in printed[4]
     assert "the log law is not rejected in 2 of 2, as onset in 2" in printed
     assert printed[-3] == "  force=200000 N: C = 0.0013 m/s (0.0013 to 0.0013), onset"

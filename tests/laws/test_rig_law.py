@@ -53,7 +53,7 @@ def test_leaving_out_a_block_is_exact_for_linear_forms():
     relief, rate = np.exp(rng.uniform(0, 1, 120)), 1 + 0.2 * rng.standard_normal(120)
     block, decay = np.arange(120) // 20, np.array([0.0, *[0.6] * 119])
     minimum = search(FORMS[2], relief, rate, False, decay)
-    residual, x = predictions_without(minimum, rate / rate.max(), block), minimum.model.columns(relief)
+    residual, x = predictions_without(minimum, rate / rate.max(), block), FORMS[2].columns(relief)
     for index in range(6):
         kept = block != index
         without, *_ = np.linalg.lstsq(whiten(x, decay)[kept], whiten(rate / rate.max(), decay)[kept])

@@ -117,6 +117,13 @@ def test_same_rows_in_other_clothes_are_the_same(tmp_path, name):
         assert log.line.iloc[-1] == text.count("\n")
 
 
+def test_rows_of_shifted_cells_are_dropped(tmp_path):
+    """With one cell on a line, nothing shows the four lost cells but the depth, which is a rate in these rows."""
+    (tmp_path / "shifted.las").write_text(wrapped([2, 3, 4, 5], "\n"))
+    log = read_log(tmp_path / "shifted.las")
+    np.testing.assert_allclose(log.weight_on_bit, np.delete(SI["weight_on_bit"], [2, 3, 4, 5]))
+
+
 def test_xlsx_is_read(tmp_path):
     pytest.importorskip("openpyxl")
     path = tmp_path / "log.xlsx"
@@ -135,13 +142,9 @@ REFUSED = {
         las(f"~C\n{CURVES.format('KN')}~A\n", ["1 2 3 4", "1 2 3"]),
         "line 13 has 3 cells; 4 are needed, one a column",
     ),
-    # In the last two files, the lost cells add up to a whole record.
+    # In the last file, the lost cells add up to a whole record.
     "lost.las": (wrapped([2]), "line 16: the record that begins here has other than 4 cells"),
     "lost-four.las": (wrapped([2, 3, 4, 5]), "line 16: the record that begins here has other than 4 cells"),
-    "shifted.las": (
-        wrapped([2, 3, 4, 5], "\n"),
-        "line 24: the record that begins here is shifted: its index, 25.+, turns",
-    ),
     "cells.csv": ("DEPTH (m),ROP (m/h)\n1,2,3\n2,3\n4\n", "line 2 has 3 cells; line 4 has 1 cell; 2 are needed"),
     "bars.csv": ("WOB (kN)|ROP (m/h)\n100|20\n110|21\n", "no numbers in the first 3 lines; commas, semicolons or tabs"),
     "slow.csv": ("WOB (kN),ROP (min/ft)\n100,3\n110,2\n", '"min/ft" is a time per length; give the rate 1/x, in ft/'),

@@ -1,10 +1,9 @@
 """Commands that read rig logs: fits of the rate-of-penetration law, and measures of a log."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.arguments import MANY, Options, argument, command, result_options
 from vibrojax.cli.output import result
@@ -61,14 +60,14 @@ def fit(options: Options) -> None:
         options.file = given.pop()  # FILE may follow the columns
     if options.file is None:
         raise InputError("fit: the following arguments are required: FILE; see vibrojax fit --help")
-    from vibrojax.io.log_columns import checked_columns, read_columns
     from vibrojax.io.riglog import log_lines
     from vibrojax.studies.rop_law import USES, fit_rop
     from vibrojax.studies.rop_results import law_facts, tables
 
-    file, columns, by = Path(options.file), read_columns(given), options.by or []
-    checked_columns(columns)  # before an existing output is looked at
-    reading = {"where": options.where, "nulls": options.nulls}
+    file, by = Path(options.file), options.by or []
+    columns, reading, identity = _reading(options, given)
+    identity |= {"data": _digest(file), "along": options.along, "by": ", ".join(by), "fit": True}
+    identity |= {f"columns.{name}": text for name, text in columns.items()}
 
     def fitted(_: Path) -> "AbstractContextManager[xarray.Dataset]":
         with timed("fit"):
@@ -79,19 +78,17 @@ def fit(options: Options) -> None:
             raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
         return nullcontext(law)
 
-    identity = {"data": _digest(file), "along": options.along, "by": ", ".join(by), **_given(reading), "fit": True}
-    identity |= {f"columns.{name}": text for name, text in columns.items()}
     ds = result(options, _default(file, "fit", "data"), identity, fitted, reused=False)
     law = ds.dataset
-    facts = law_facts(law)
-    sources = log_lines(law)
+    facts, sources = law_facts(law), [] if options.quiet else log_lines(law)
     lane = f"a row of {file.name}" if "columns" in law.attrs else WORDS["lane"]
     lines = [
-        *([*sources, ""] if sources and not options.quiet else []),
+        *sources,
+        *[""] * bool(sources),
         *tables(law),
         "",
         f"forms of the rate of penetration: {law.attrs['formulas']}",
-        f"eta: the relief P/D, {WORDS['relief P/D']}; eta0: where it begins; a lane: {lane}",
+        f"η: the relief P/D, {WORDS['relief P/D']}; η₀: where it begins; a lane: {lane}",
         "AIC: lower is better, by more than 2 clearly so"
         + "; CV: error of rates predicted from other rows, which decides" * bool(law["cv_error"].notnull().any()),
         "",
@@ -100,8 +97,13 @@ def fit(options: Options) -> None:
     ds.print(options, lines, {"file": options.file, **facts})
 
 
-def _given(reading: Mapping[str, Sequence[str] | None]) -> dict[str, str]:
-    return {name: "; ".join(words) for name, words in reading.items() if words}
+def _reading(options: Options, words: list[str]) -> tuple[dict[str, str], dict[str, Any], dict[str, Any]]:
+    """Return the columns, the other arguments of reading, and these as an identity states them."""
+    from vibrojax.io.log_columns import checked_columns, read_columns
+
+    columns, reading = read_columns(words), {"where": options.where, "nulls": options.nulls}
+    checked_columns(columns)  # before an existing output is looked at
+    return columns, reading, {name: "; ".join(words) for name, words in reading.items() if words}
 
 
 def _default(file: Path, kind: str, key: str) -> str:
@@ -145,14 +147,11 @@ def _digest(file: Path) -> str:
 )
 def rig(options: Options) -> None:
     """Compute specific energies, the founder point and stick-slip of a rig log, and draw tracks over depth."""
-    from vibrojax.io.log_columns import checked_columns, read_columns
     from vibrojax.studies.rig_analysis import rig as measures
 
-    file, columns = Path(options.file), read_columns(list(options.columns or []))
-    checked_columns(columns)  # before an existing output is looked at
-    reading = {"where": options.where, "nulls": options.nulls}
-    units = options.units or "driller"
-    identity = {"rig": _digest(file), "units": units, **_given(reading), **columns}
+    file, units = Path(options.file), options.units or "driller"
+    columns, reading, given = _reading(options, list(options.columns or []))
+    identity = {"rig": _digest(file), "units": units, **given, **columns}
 
     def measured(_: Path) -> "AbstractContextManager[xarray.Dataset]":
         return nullcontext(measures(file, columns, **reading, units=units))

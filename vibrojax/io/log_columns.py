@@ -69,8 +69,7 @@ _FIELD_UNITS |= {"Pa": "psi"}
 _MARGIN = 2.0
 """Ratio to the range of rigs beyond which the median of a column without a unit is in another unit."""
 
-NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
-"""A number, and what follows it."""
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _BRACKETED = re.compile(r"\s*(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
 
@@ -160,6 +159,12 @@ def recognise(cell: str) -> tuple[str | None, str | None]:
     return (base if base in KNOWN else _QUANTITIES.get(normalised(base))), unit
 
 
+def number_of(text: str) -> tuple[float | None, str]:
+    """Return the number at the beginning of a text (None: there is none) and what follows it, such as a unit."""
+    parts = _NUMBER.fullmatch(text)
+    return (float(parts[1]), parts[2]) if parts else (None, "")
+
+
 def normalised(name: str) -> str:
     """Return a column name in small letters, with one blank for all else than letters and digits."""
     return " ".join(re.findall(r"[a-z0-9]+", name.casefold())).removeprefix("average ")
@@ -235,16 +240,16 @@ def _user_column(place: Place, header: list[str], name: str, text: str) -> Colum
         if len(factors) == 2 and None not in factors and factors[0] != factors[1]:
             raise place.error(f"column {shown(cell)} is in {own} by its name, not in {unit}; give one of them")
         return _column(place, name, cell, matches[0], unit or own)
-    if number := NUMBER.fullmatch(text):
-        if number[2].startswith(","):
-            right = shown(text.replace(",", ".", 1))
-            raise place.error(f"{shown(text)} has a decimal comma; write a point, like {right}")
-        column = _column(place, name, text.strip(), None, number[2] or None)
-        value = float(number[1]) * column.factor
-        if (problem := KNOWN[name].problem(value)) is not None:
-            raise place.error(problem)
-        return replace(column, value=value)
-    raise place.error(f"the file has no column {shown(text)}; {suggestion(base, header)}")
+    number, unit = number_of(text)
+    if number is None:
+        raise place.error(f"the file has no column {shown(text)}; {suggestion(base, header)}")
+    if unit.startswith(","):
+        right = shown(text.replace(",", ".", 1))
+        raise place.error(f"{shown(text)} has a decimal comma; write a point, like {right}")
+    column = _column(place, name, text.strip(), None, unit or None)
+    if (problem := KNOWN[name].problem(number * column.factor)) is not None:
+        raise place.error(problem)
+    return replace(column, value=number * column.factor)
 
 
 def _column(place: Place, name: str, header: str, index: int | None, unit: str | None) -> Column:

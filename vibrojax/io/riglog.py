@@ -106,71 +106,40 @@ def read_log(
     if not isinstance(path, (str, PathLike, pd.DataFrame)):
         raise InputError(f"read_log: {shown(path)} is no log; give a path or a DataFrame")
     place = Place("DataFrame" if isinstance(path, pd.DataFrame) else str(path))
-    cells = tables.cells_of(place, path) if isinstance(path, pd.DataFrame) else tables.read_cells(place, Path(path))
+    cells = tables.read_cells(place, path if isinstance(path, pd.DataFrame) else Path(path))
     header, lines = list(map(str, cells.columns)), cells.index.to_numpy()
     chosen, notes = known.choose_columns(place.at(f"line {cells.attrs['line']}"), header, columns)
     notes = [*cells.attrs["notes"], *notes]
     missing = NULLS | cells.attrs["nulls"] | {str(null).strip().casefold() for null in nulls or ()}
-    own = {column.index: key for key, column in chosen.items() if column.index is not None}
-    is_needed = {key: key in needed or key in columns for key in chosen}
-    text = {key: cells.iloc[:, k].fillna("").str.strip() for k, key in own.items()}
-    text = {key: column.mask(column.str.casefold().isin(missing), "") for key, column in text.items()}
-    mark = tables.decimal_mark(text[key] for key in text if is_needed[key]) or tables.decimal_mark(text.values())
-    notes += ["commas are decimal marks"] * (mark == ",")
-    table = {key: np.full(len(cells), (column.value or 0.0) / column.factor) for key, column in chosen.items()}
-    table[LINE], faults = lines, list[tuple[int, str, str]]()
-    for index, cell in enumerate(header):
-        key = own.get(index)
-        column = text[key] if key else cells.iloc[:, index].fillna("").str.strip()
-        numbers, wrong = tables.to_numbers(column, mark, missing)
-        if key == TIME:
-            numbers, wrong = _times(header, chosen[key], cells, column, numbers, wrong)
-        bad = column[wrong]
-        if key is None:
-            if cell not in ("", "row", *table):
-                table[cell] = column.to_numpy(object) if wrong.any() else numbers
-            continue
-        table[key] = numbers
-        if is_needed[key] and key != TIME:
-            faults += [(int(line), cell, value) for line, value in bad.items()]
-        elif len(bad):
-            fault = f"{counted(len(bad), 'cell')} taken as missing"
-            notes.append(f"{key}: {fault}, such as {shown(bad.iloc[0])} in line {bad.index[0]}")
-    if faults:
-        faults.sort()
-        listed = tables.listed_faults([f"line {line}, column {name}: {shown(value)}" for line, name, value in faults])
-        right = f"correct them, or say that they stand for missing values: --nulls {shown(faults[0][2])}"
-        right = tables.AMBIGUOUS_COMMAS if "," in faults[0][2] and not mark else right
-        raise place.error(f"{listed}; {counted(len(faults), 'cell is not a number', 'cells are not numbers')}; {right}")
-    unusual = _to_si(place, chosen, table, is_needed, notes)
     names = [(known.recognise(cell)[0] or "", cell) for cell in header]
     is_rig = known.RELIEF not in chosen and any(
         name in known.RIG or (name and not cell.startswith(name)) for name, cell in names
     )
-    if is_rig and (unread := [cell for k, cell in enumerate(header) if k not in own and cell not in ("", "row")]):
+    read = {column.index for column in chosen.values()}
+    needed = {key for key in chosen if key in needed or key in columns}
+    table, unusual = _quantities(place, cells, chosen, missing, needed, notes)
+    if is_rig and (unread := [cell for k, cell in enumerate(header) if k not in read and cell not in ("", "row")]):
         more = f" and {counted(len(unread) - _LISTED, 'other')}" if len(unread) > _LISTED else ""
         notes.append(f"columns without a known name, which --columns can give: {', '.join(unread[:_LISTED])}{more}")
     data = pd.DataFrame(table)
-    judged = [_meets(place, each, data, chosen) for each in conditions]
-    notes += [
-        f"{now.text}: in {now.unit}, as the column"
-        for (now, *_), then in zip(judged, conditions, strict=True)
-        if now != then
-    ]
-    met = {f"not {each.text}": (key, mask) for each, key, mask in judged}
-    limits = LIMITS | dict.fromkeys((name for name, _ in met.values()), np.inf)
-    for key in ("pressure", "torque"):
-        if key in chosen and key in data and (large := data[key] > limits[key]).any():
+    limits, masks = dict(LIMITS), dict[str, Mask]()
+    for condition in conditions:
+        judged, key, mask = _meets(place, condition, data, chosen)
+        notes += [f"{judged.text}: in {judged.unit}, as the column"] * (judged != condition)
+        masks[f"not {judged.text}"], limits[key] = ~mask, np.inf
+    for key in {"pressure", "torque"} & set(chosen):
+        if (large := data[key] > limits[key]).any():
             data[key] = data[key].mask(large)
             limit = f"{limits[key]:g} {UNITS[KNOWN[key].unit][0]}"
             notes.append(f"{key}: {counted(large.sum(), 'value')} above {limit} taken as missing")
-    masks = {reason: ~mask for reason, (_, mask) in met.items()} | (_no_drilling(data, limits) if is_rig else {})
+    masks |= _no_drilling(data, limits) if is_rig else {}
     kept = ~np.any([np.zeros(len(data), bool), *masks.values()], axis=0)
     if is_rig and DEPTH in data:
         masks["depth not monotonic"] = _not_monotonic(place, chosen[DEPTH], data[DEPTH].to_numpy(), kept, lines)
-        kept &= ~masks["depth not monotonic"]
-    reason = np.select(list(masks.values()), list(masks), "") if masks else np.full(len(data), "")
-    dropped = {name: lines[reason == name] for name in masks if (reason == name).any()}
+    dropped, kept = dict[str, np.ndarray](), np.ones(len(data), bool)
+    for reason, mask in masks.items():  # a row counts for the first reason
+        dropped |= {reason: lines[kept & mask]} if (kept & mask).any() else {}
+        kept &= ~mask
     if not kept.any():
         texts = ", ".join(f"{name} ({counted(part.size, 'row')})" for name, part in dropped.items())
         hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
@@ -190,70 +159,92 @@ def read_log(
     return data
 
 
-def _to_si(
+def _quantities(
     place: Place,
+    cells: pd.DataFrame,
     chosen: dict[str, Column],
-    table: dict[str, np.ndarray],
-    is_needed: Mapping[str, bool],
+    missing: Collection[str],
+    needed: Collection[str],
     notes: list[str],
-) -> list[tuple[str, str, float, str]]:
-    """Convert the values to SI units; return name, quantity, median and advice of columns far from those of rigs.
+) -> tuple[dict[str, np.ndarray], list[tuple[str, str, float, str]]]:
+    """Return the columns of a log, quantities in SI; and name, quantity, median and advice of those far from rigs.
 
-    **Raises:** `InputError` with all columns whose unit is only assumed and unlikely; those not needed are left out.
+    **Raises:** `InputError` with all cells of needed quantities that are not numbers, or all needed columns whose unit
+    is only assumed and unlikely. Other quantities with such a unit are left out.
     """
-    unusual, faults, words = [], [], []
+    own = {column.index for column in chosen.values()}
+    texts = {key: cells.iloc[:, column.index] for key, column in chosen.items() if column.index is not None}
+    texts = {key: text.mask(text.str.casefold().isin(missing), "") for key, text in texts.items()}
+    mark = tables.decimal_mark(texts[key] for key in texts if key in needed) or tables.decimal_mark(texts.values())
+    notes += ["commas are decimal marks"] * (mark == ",")
+    table, unusual, faults, likely = dict[str, np.ndarray](), [], list[tuple[int, str, str]](), dict[str, str]()
     for key, column in list(chosen.items()):
-        numbers = np.abs(table[key][np.isfinite(table[key]) & (table[key] != 0)])
+        values = np.full(len(cells), (column.value or 0.0) / column.factor)
+        if key in texts:
+            values, wrong = tables.to_numbers(texts[key], mark, missing)
+            values, wrong = _times(column, cells, texts[key], values, wrong) if key == TIME else (values, wrong)
+            bad = texts[key][wrong]
+            if key in needed and key != TIME:
+                faults += [(int(line), column.header, value) for line, value in bad.items()]
+            elif len(bad):
+                fault = f"{counted(len(bad), 'cell')} taken as missing"
+                notes.append(f"{key}: {fault}, such as {shown(bad.iloc[0])} in line {bad.index[0]}")
+        numbers = np.abs(values[np.isfinite(values) & (values != 0)])
         median = float(np.median(numbers)) if numbers.size else np.nan
         low, high = KNOWN[key].usual or (0.0, np.inf)
         if key == ROTATION_SPEED and column.assumed and not known.is_own(column.header, key):
             for unit, scale in {"rev/s": 60 * RPM, "rpm": RPM}.items():  # the last that fits
                 if low <= median * scale <= high:
-                    chosen[key] = column = Column(column.header, column.index, unit, scale, assumed=True)
-        table[key] = column.factor * table[key]
-        if not numbers.size or (word := known.likely_words(key, column, median)) is None:
+                    chosen[key] = column = replace(column, unit=unit, factor=scale)
+        table[key] = column.factor * values
+        if (word := known.likely_words(key, column, median)) is None:
             continue
         fault = f"{key} {median:.6g} {column.unit} ({low:g} to {high:g} {UNITS[KNOWN[key].unit][0]})"
         if not column.assumed:
             unusual.append((column.header, key, median * column.factor, f"likely --columns {word}"))
-        elif is_needed[key]:
-            faults.append(fault)
-            words.append(word)
+        elif key in needed:
+            likely[fault] = word
         else:
             notes.append(f"{fault} is far outside what rigs have and left out, as no unit is given (likely {word})")
             del table[key], chosen[key]
     if faults:
-        fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(faults)}"
-        choice = " (choose one unit)" * any(" or " in word for word in words)
-        raise place.error(f"{fault}; likely --columns {' '.join(words)}{choice}")
-    return unusual
+        faults.sort()
+        listed = tables.listed_faults([f"line {line}, column {name}: {shown(value)}" for line, name, value in faults])
+        right = f"correct them, or say that they stand for missing values: --nulls {shown(faults[0][2])}"
+        right = tables.AMBIGUOUS_COMMAS if "," in faults[0][2] and not mark else right
+        raise place.error(f"{listed}; {counted(len(faults), 'cell is not a number', 'cells are not numbers')}; {right}")
+    if likely:
+        fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(likely)}"
+        choice = " (choose one unit)" * any(" or " in word for word in likely.values())
+        raise place.error(f"{fault}; likely --columns {' '.join(likely.values())}{choice}")
+    table[LINE] = cells.index.to_numpy()
+    for k, name in enumerate(map(str, cells.columns)):
+        if k not in own and name not in ("", "row", *table):
+            numbers, wrong = tables.to_numbers(cells.iloc[:, k], mark, missing)
+            table[name] = cells.iloc[:, k].to_numpy(object) if wrong.any() else numbers
+    return table, unusual
 
 
-def _times(
-    header: list[str], about: Column, rows: pd.DataFrame, cells: pd.Series, numbers: Rows, wrong: Mask
-) -> tuple[Rows, Mask]:
+def _times(about: Column, cells: pd.DataFrame, text: pd.Series, numbers: Rows, wrong: Mask) -> tuple[Rows, Mask]:
     """Return the times since the first row in the column's unit, and where a cell is not a time.
 
-    The `cells` hold `numbers` (except where `wrong`), dates with times, times of the day that may pass midnight, or
-    times beside a column of days in `rows`.
+    The `text` holds `numbers` (except where `wrong`), dates with times, times of the day that may pass midnight, or
+    times beside a column of days.
     """
-    date = next(
-        (k for k, cell in enumerate(header) if known.recognise(cell)[0] == known.DATE and k != about.index), None
-    )
-    empty, scale = (cells == "").to_numpy(), about.factor
-    if date is None and not wrong.any():
-        values, scale = numbers, 1.0
-    elif date is None and cells[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
-        clock = cells.where(cells.str.fullmatch(_CLOCK)).where(cells.str.count(":") != 1, cells + ":00")
-        values = pd.to_timedelta(clock, errors="coerce").dt.total_seconds().to_numpy(float, copy=True)
-        known_times = np.isfinite(values)
-        turns = np.cumsum(np.diff(values[known_times], prepend=values[known_times][:1]) < -_DAY / 2)
-        values[known_times] += _DAY * turns
+    dates = [k for k, name in enumerate(cells) if known.recognise(str(name))[0] == known.DATE and k != about.index]
+    days, empty = cells.iloc[:, dates[0]] if dates else None, (text == "").to_numpy()
+    if days is None and not wrong.any():
+        values = about.factor * numbers
+    elif days is None and text[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
+        clock = text.where(text.str.fullmatch(_CLOCK)).where(text.str.count(":") != 1, text + ":00")
+        elapsed = pd.to_timedelta(clock, errors="coerce").dt.total_seconds()
+        turns = (elapsed.ffill().diff() < -_DAY / 2).cumsum()
+        values = (elapsed + _DAY * turns).to_numpy()
     else:
-        day = rows.iloc[:, date].fillna("").str.strip() + " " if date is not None else ""
-        stamps = pd.to_datetime((day + cells).str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
+        stamps = text if days is None else days + " " + text
+        stamps = pd.to_datetime(stamps.str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
         values = (stamps - stamps.min()).dt.total_seconds().to_numpy(float)
-    return (values - values[np.isfinite(values)][:1].sum()) / scale, np.isnan(values) & ~empty
+    return (values - values[np.isfinite(values)][:1].sum()) / about.factor, np.isnan(values) & ~empty
 
 
 # Rows
@@ -321,30 +312,29 @@ def _meets(
     if key is None or key not in data:
         hint = suggestion(condition.name, [*headers, *headers.values(), *map(str, data)])
         raise here.error(f"the file has no column {shown(condition.name)}; {hint}")
-    number = known.NUMBER.fullmatch(condition.value)
+    value, unit = known.number_of(condition.value)
     if key in chosen:
-        units = [unit for unit in (condition.unit, number[2] if number else None) if unit]
-        scales = {factor(unit, KNOWN[key].unit) for unit in units} or {chosen[key].factor}
-        scale = scales.pop()
-        if number is None or scale is None or None in scales:
+        own = "" if unit or chosen[key].unit == "1" else chosen[key].unit
+        condition = replace(condition, unit=condition.unit or own or None)
+        units = [text for text in (condition.unit, unit) if text] or ["1"]
+        scales = [factor(text, KNOWN[key].unit) for text in units]
+        if value is None or None in scales:
             right = ", ".join(UNITS[KNOWN[key].unit])
             raise here.error(f"{shown(condition.value)} does not suit {key}; write a number with a unit of {right}")
-        if scales:
+        if len({*scales}) > 1:
             raise here.error(f"the unit is {' and '.join(units)}; give one of them")
-        own = condition.unit or ("" if number[2] or chosen[key].unit == "1" else chosen[key].unit)
-        return replace(condition, unit=own or None), key, condition.holds(data[key], float(number[1]) * scale)
-    if number is not None and not number[2] and data[key].dtype.kind in "fi":
-        return condition, key, condition.holds(data[key], float(number[1]))
+        return condition, key, condition.holds(data[key], value * (scales[0] or 1.0))
+    if value is not None and not unit and data[key].dtype.kind in "fi":
+        return condition, key, condition.holds(data[key], value)
     if condition.operator not in ("=", "==", "!="):
         raise here.error(f"{shown(condition.value)}: texts are only compared by = or !=")
     texts = data[key].astype(str)
     is_equal = (texts == condition.value).to_numpy(bool)
     if condition.operator != "!=" and not is_equal.any():
         values = texts.unique().tolist()
-        more = f"; it has {', '.join(values[:_LISTED])}" + f" and {len(values) - _LISTED} more" * (
-            len(values) > _LISTED
-        )
-        raise here.error(f"no row of column {key} is {shown(condition.value)}{more}")
+        more = f" and {len(values) - _LISTED} more" * (len(values) > _LISTED)
+        fault = f"no row of column {key} is {shown(condition.value)}"
+        raise here.error(f"{fault}; it has {', '.join(values[:_LISTED])}{more}")
     return condition, key, is_equal ^ (condition.operator == "!=")
 
 
@@ -368,20 +358,19 @@ def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines:
 
     **Raises:** `InputError` if that sequence holds less than half of the rows.
     """
-    rows = np.flatnonzero(kept)
+    rows, dropped = np.flatnonzero(kept), kept.copy()
     ends: list[float] = []  # least end of a sequence of each length (patience sorting)
-    last: list[int] = []
-    previous: list[int] = []
-    for position, value in enumerate(depth[rows].tolist()):
-        length = bisect_right(ends, value)
-        previous.append(last[length - 1] if length else -1)
-        ends[length : length + 1], last[length : length + 1] = [value], [position]
+    lengths = []  # of the longest sequence that ends at a row
+    for value in depth[rows].tolist():
+        lengths.append(bisect_right(ends, value))
+        ends[lengths[-1] : lengths[-1] + 1] = [value]
     if 2 * len(ends) < rows.size:
         here = place.at(f"line {lines[rows[int(np.argmax(np.diff(depth[rows]) < 0)) + 1]]}, column {column.header}")
         raise here.error(f"the depth falls in most rows (only {len(ends)} of {rows.size} in order); sort them by depth")
-    dropped, position = kept.copy(), last[-1] if last else -1
-    while position >= 0:
-        dropped[rows[position]], position = False, previous[position]
+    wanted, greatest = len(ends) - 1, np.inf
+    for row, length in zip(rows[::-1].tolist(), lengths[::-1], strict=True):
+        if length == wanted and depth[row] <= greatest:
+            dropped[row], wanted, greatest = False, wanted - 1, depth[row]
     return dropped
 
 
@@ -394,22 +383,22 @@ def to_dataset(log: pd.DataFrame, dim: str = "row") -> xr.Dataset:
     Its attributes are those of the table, as texts: `columns`, `dropped` (JSON), `rows_read`, `notes`, `title`, and
     `dialect` ("log" or "plain").
     """
-    about = {name: {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name} for name in log.attrs["units"]}
-    about[LINE] = {"units": "1", "long_name": "line in the file"}
-    variables = {
-        name: (dim, x.to_numpy() if x.dtype.kind in "fiu" else np.array(list(x), str), about.get(name, {}))
-        for name, x in log.items()
-    }
-    lines = log.attrs["lines"]
-    attributes = {
+    data = xr.Dataset(
+        {name: (dim, x.to_numpy() if x.dtype.kind in "fiu" else np.array(list(x), str)) for name, x in log.items()}
+    )
+    for name in log.attrs["units"]:
+        data[name].attrs = {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name}
+    data[LINE].attrs = {"units": "1", "long_name": "line in the file"}
+    dropped = {name: {"rows": n, "lines": log.attrs["lines"][name]} for name, n in log.attrs["dropped"].items()}
+    data.attrs = {
         "title": log.attrs["title"],
         "dialect": "log" if log.attrs["rig"] else "plain",
         "columns": json.dumps(log.attrs["sources"]),
         "rows_read": log.attrs["rows_read"],
-        "dropped": json.dumps({key: {"rows": n, "lines": lines[key]} for key, n in log.attrs["dropped"].items()}),
+        "dropped": json.dumps(dropped),
         "notes": "; ".join(log.attrs["notes"]),
     }
-    return xr.Dataset(variables, attrs=attributes).set_coords([name for name in variables if name not in KNOWN])
+    return data.set_coords([name for name in data if name not in KNOWN])
 
 
 def is_log(data: xr.Dataset) -> bool:

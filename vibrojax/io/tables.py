@@ -5,6 +5,7 @@ import io
 import re
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TypeAlias
 from xml.etree import ElementTree
@@ -120,11 +121,11 @@ def decimal_mark(columns: "Iterable[pd.Series]") -> str:
 
 def with_points(cells: "pd.Series", mark: str) -> "pd.Series":
     """Return text cells with decimal points, and without marks between thousands; `mark`: their decimal mark."""
-    if not mark:
+    if not mark or (mark == "." and not cells.str.contains(",", regex=False).any()):
         return cells
     other = "," if mark == "." else "."
     cells = cells.where(~cells.str.fullmatch(_THOUSANDS[other]), cells.str.replace(other, "", regex=False))
-    return cells.where(~(cells.str.fullmatch(_NUMBERS[","]) & (mark == ",")), cells.str.replace(",", ".", regex=False))
+    return cells.str.replace(",", ".", regex=False) if mark == "," else cells
 
 
 def to_numbers(
@@ -134,18 +135,20 @@ def to_numbers(
 
     `mark`: the decimal mark, as `decimal_mark` returns it; `nulls`: what stands for a missing value, in small letters.
     """
-    cells = with_points(cells.fillna("").str.strip(), mark)
-    missing = ((cells == "") | cells.str.casefold().isin(nulls)).to_numpy(bool)
-    values = np.array([float(cell) if is_number(cell) else np.nan for cell in cells.mask(missing, "nan")])
-    bad = ~np.isfinite(values) & ~missing
-    return np.where(np.isin(values, [float(null) for null in nulls if is_number(null)]) | bad, np.nan, values), bad
+    cells = with_points(cells.fillna(""), mark)
+    values = pd.to_numeric(cells, errors="coerce").to_numpy(float, copy=True)
+    bad = ~np.isfinite(values)
+    texts = cells[bad]
+    bad[bad] = ~((texts == "") | texts.str.casefold().isin(nulls))
+    values[bad | np.isin(values, pd.to_numeric(list(nulls), errors="coerce"))] = np.nan
+    return values, bad
 
 
 # Files of logs
 
 
-def read_cells(place: Place, path: Path) -> Frame:
-    """Return the cells of a file as texts; its kind is recognised by its content or its ending.
+def read_cells(place: Place, source: "Path | pd.DataFrame") -> Frame:
+    """Return the cells of a file, or of a DataFrame, as texts; a file's kind is recognised by its content or ending.
 
     The columns have the names with their units, and the index is the number of the line. `attrs`: `line` (that of the
     names), `nulls` (a set of the numbers that stand for a missing value in this file), and `notes`.
@@ -153,9 +156,11 @@ def read_cells(place: Place, path: Path) -> Frame:
     **Raises:** `InputError` if the file cannot be read, or a row has another width than the names (further cells may
     be empty).
     """
-    if path.suffix.lower() in (".xlsx", ".xlsm", ".xls"):
-        cells, header = _below_names(place, _read_xlsx(place, path))
-    elif (text := read_text(path, windows=True)).lstrip().startswith("~") or path.suffix.lower() == ".las":
+    if not isinstance(source, Path):
+        return _of_frame(place, source)
+    if source.suffix.lower() in (".xlsx", ".xlsm", ".xls"):
+        cells, header = _below_names(place, _read_xlsx(place, source))
+    elif (text := read_text(source, windows=True)).lstrip().startswith("~") or source.suffix.lower() == ".las":
         cells, header = _read_las(place, text)
     elif text.lstrip().startswith("<"):
         cells, header = _read_witsml(place, text)
@@ -167,7 +172,7 @@ def read_cells(place: Place, path: Path) -> Frame:
         listed = listed_faults([f"line {line} has {counted(count, 'cell')}" for line, count in wrong.items()])
         hint = "; if commas are decimal marks, separate the columns by semicolons" if wrong.min() > width else ""
         raise place.error(f"{listed}; {width} are needed, one a column{hint}")
-    return cells.iloc[:, :width].set_axis(header, axis=1)
+    return cells.iloc[:, :width].set_axis(header, axis=1).map(str.strip)
 
 
 def listed_faults(faults: Sequence[str]) -> str:
@@ -176,8 +181,8 @@ def listed_faults(faults: Sequence[str]) -> str:
     return "; ".join(faults[:MOST_LISTED]) + more
 
 
-def cells_of(place: Place, table: Frame) -> Frame:
-    """Return the cells of a DataFrame, as `read_cells` does; in one that `read_log` returned, quantities are in SI."""
+def _of_frame(place: Place, table: Frame) -> Frame:
+    """Return the cells of a DataFrame; in one that `read_log` returned, quantities are in SI."""
     units = table.attrs["units"] if "sources" in table.attrs else {}
     table = table.reset_index() if any(table.index.names) else table
     lines = table["line"] if units and "line" in table else range(2, len(table) + 2)
@@ -185,7 +190,8 @@ def cells_of(place: Place, table: Frame) -> Frame:
     if table.empty:
         raise place.error(_NO_ROWS)
     names = [f"{name} ({units[name]})" if name in units else str(name) for name in table.columns]
-    cells = table.astype(object).where(table.notna(), "").map(str).set_axis(names, axis=1).set_axis(lines)
+    cells = table.astype(object).where(table.notna(), "").map(lambda cell: str(cell).strip())
+    cells = cells.set_axis(names, axis=1).set_axis(lines)
     cells.attrs = {"line": 1, "nulls": set(), "notes": []}
     return cells
 
@@ -195,9 +201,8 @@ def _table(place: Place, rows: Iterable[tuple[int, list[str]]], line: int = 1, n
     rows = list(rows)
     if not rows:
         raise place.error(_NO_ROWS)
-    width = max(len(cells) for _, cells in rows)
-    padded = [cells + [None] * (width - len(cells)) for _, cells in rows]
-    table = pd.DataFrame(padded, index=[line for line, _ in rows], dtype=object)
+    columns = zip_longest(*(cells for _, cells in rows))
+    table = pd.DataFrame(dict(enumerate(map(list, columns))), index=[line for line, _ in rows], dtype=object)
     table.attrs = {"line": line, "nulls": set(nulls), "notes": []}
     return table
 
@@ -225,15 +230,15 @@ def _below_names(place: Place, table: Frame) -> tuple[Frame, list[str]]:
     if len(head) > 1 and not numbers.any():
         fault = f"no numbers in the first {len(head)} lines; commas, semicolons or tabs between the columns are needed"
         raise place.error(fault)
-    typical = float(np.median(numbers[numbers > 0])) if numbers.any() else np.inf
+    typical = np.median(numbers[numbers > 0]) if numbers.any() else np.inf
     above = int(np.argmax(numbers >= typical / 2)) if numbers.any() else 1
-    texts = head.iloc[:above].to_numpy().tolist()
-    if not texts:
+    if above == len(table):
+        raise place.error(_NO_ROWS)
+    if not above:
         first = shown(", ".join(filter(None, head.iloc[0])))
         advice = "the first line names the columns, like relief,rate_of_penetration"
         raise place.at(f"line {table.index[0]}").error(f"{first} are numbers; {advice}")
-    if above == len(table):
-        raise place.error(_NO_ROWS)
+    texts = head.iloc[:above].to_numpy().tolist()
     known = [sum(recognise(cell)[0] is not None for cell in row if cell) for row in texts]
     units = [sum(is_unit(cell.strip(" []()")) for cell in row) for row in texts]
     below = next((k for k in range(1, above) if units[k] > known[k]), None)
@@ -243,10 +248,12 @@ def _below_names(place: Place, table: Frame) -> tuple[Frame, list[str]]:
         header = [_with_unit(name, unit.strip(" []()")) for name, unit in zip(header, texts[below], strict=False)]
     while not header[-1] and (table.iloc[above:, len(header) - 1].fillna("") == "").all():
         header.pop()
-    says = {names: "", below: "holds the units of the columns"}
-    notes = [f"line {table.index[k]} {says.get(k, 'holds no names and is not read')}" for k in range(above)]
+    says = {below: "holds the units of the columns"}
     cells = table.iloc[above:]
-    cells.attrs = {"line": int(table.index[names]), "nulls": set(), "notes": notes[:names] + notes[names + 1 :]}
+    cells.attrs = {"line": int(table.index[names]), "nulls": set()}
+    cells.attrs["notes"] = [
+        f"line {table.index[k]} {says.get(k, 'holds no names and is not read')}" for k in range(above) if k != names
+    ]
     return cells, header
 
 
@@ -304,46 +311,29 @@ def _read_las(place: Place, text: str) -> tuple[Frame, list[str]]:
         las = lasio.read(io.StringIO("\n".join([*head, "~A"])), ignore_data=True)
         is_wrapped = str(las.version.WRAP.value).strip().upper() == "YES"
         delimiter = _LAS_DELIMITERS.get(str(las.version["DLM"].value).upper()) if "DLM" in las.version else None
-        rows = [(number, [cell.strip() for cell in line.split(delimiter)]) for number, line in sections["A"]]
+        rows = [(number, line.split(delimiter)) for number, line in sections["A"]]
         names = [_with_unit(str(curve.original_mnemonic), str(curve.unit or "")) for curve in las.curves]
         names_line = sections["C"][0][0]
     except Exception:  # lasio has no error of its own for a malformed header
         fault = "not LAS: ~Version with VERS and WRAP, a curve on each line of ~Curve, and rows in ~ASCII are needed"
         raise place.error(f"{fault}; export the log again, with its data, or as CSV") from None
     nulls = [str(las.well["NULL"].value)] if "NULL" in las.well else []
-    rows = _unwrapped(place, rows, len(names), nulls) if is_wrapped else rows
-    return _table(place, rows, names_line, nulls), names
+    return _table(place, _unwrapped(place, rows, len(names)) if is_wrapped else rows, names_line, nulls), names
 
 
-def _unwrapped(
-    place: Place, rows: Sequence[tuple[int, list[str]]], width: int, nulls: Collection[str]
-) -> list[tuple[int, list[str]]]:
+def _unwrapped(place: Place, rows: Sequence[tuple[int, list[str]]], width: int) -> list[tuple[int, list[str]]]:
     """Return the records of wrapped lines, each with its first line.
 
     **Raises:** `InputError` if a lost cell shifts the later ones: the index, which LAS 2.0 puts on a line of its own,
-    then shares one. In files with other lines, only an index that turns back, or the number of cells, tells.
+    then shares one.
     """
-    lines = [(number, filled) for number, cells in rows if (filled := [cell for cell in cells if cell])]
-    every = [(number, cell) for number, cells in lines for cell in cells]
-    records = [(every[k][0], [cell for _, cell in every[k : k + width]]) for k in range(0, len(every), width)]
-    sizes = np.array([len(cells) for _, cells in lines], int)
-    alone = set((np.cumsum(sizes) - 1)[sizes == 1].tolist())
-    if 0 in alone and sizes.max() > 1 and len(alone) >= len(every) // width:
-        wrong = [k - 1 for k in range(1, len(records)) if k * width not in alone]
-        fault = f"has other than {width} cells: the index of the next one is not alone on a line"
-    else:
-        known = [k for k, (_, cells) in enumerate(records) if is_number(cells[0]) and cells[0] not in nulls]
-        steps = np.diff([float(records[k][1][0]) for k in known])
-        turned = steps * np.sign(steps[steps != 0][:1].sum()) < 0
-        wrong = [known[k + 1] for k in np.flatnonzero(turned)]
-        fault = f"is shifted: its index, {records[wrong[0]][1][0] if wrong else ''}, turns back; a cell is lost above"
-        if not wrong and len(every) % width:
-            raise place.error(
-                f"{len(every)} cells are not whole records of {width}: a cell is lost, and no index says where"
-            )
-    if wrong:
-        here = place.at(f"line {records[wrong[0]][0]}")
-        raise here.error(f"the record that begins here {fault}; correct it, or export the log without wrapping")
+    every = [(number, len(cells), cell) for number, cells in rows for cell in cells]
+    records = [(every[k][0], [cell for *_, cell in every[k : k + width]]) for k in range(0, len(every), width)]
+    for k in range(width, len(every), width):
+        if every[0][1] == 1 < every[k][1]:
+            fault = f"has other than {width} cells: the index of the next one is not alone on a line"
+            here = place.at(f"line {records[k // width - 1][0]}")
+            raise here.error(f"the record that begins here {fault}; correct it, or export the log without wrapping")
     return records
 
 

@@ -45,8 +45,11 @@ class Reason(IntEnum):
 REASONS = tuple(reason.name.lower().replace("_", "-") for reason in Reason)
 """Names of the reasons as stored in datasets."""
 
-LEAST_SPREAD = 1e-9
-"""Standard deviation of ln(eta), or of rate/greatest rate, below which values count as equal: rounding is smaller."""
+LEAST_SPREAD = 1e-6
+"""Standard deviation of ln(eta) below which values count as equal: no instrument resolves it."""
+
+EXACT = 1e-9
+"""Standard deviation of residuals, or of rates, over the greatest rate, below which it is a rounding error."""
 
 AIC_LIMIT = 2.0
 """Difference in AIC above which a form is rejected (Burnham and Anderson's rule of thumb)."""
@@ -67,7 +70,7 @@ _SPECIAL_LIMITS = {BLOCK_LIMIT: SPECIAL_LIMIT, AIC_LIMIT: AIC_LIMIT}
 _NORMAL_OVER_MAD = 1.4826  # standard deviation over median absolute deviation, for normal noise
 _BOUND = 2.0  # standard deviations beyond which the robust loss grows linearly: 95 % as efficient as least squares
 _LARGEST_EXPONENT = 60.0  # argument of exp, so that a poor trial step of the search does not overflow
-_LARGEST_THETA = 30.0  # rates are scaled to order one: a search that goes farther diverges
+_LARGEST_THETA = 1e3  # rates are scaled to order one: a search that goes farther diverges
 _MOST_EVALUATIONS = 400  # ten times the largest number observed in a fit
 _TOLERANCE, _ROBUST_TOLERANCE = 1e-15, 1e-8  # of least squares, whose steps are quick, and of the robust loss
 _SCALE_ROUNDS, _SAME_SCALE = 12, 0.1  # fits of the robust loss, and the change of its scale that needs no further one
@@ -78,9 +81,12 @@ _TAKEN = 1 - 1e-10  # share of a block that is left out, so that the other lanes
 
 @dataclass(frozen=True)
 class Form:
-    """A formula of the law. `of_log`: whether the rate is a function of ln(eta); `size`: number of coefficients.
+    """A formula of the law, with the exponent n. `of_log`: whether the rate is a function of ln(eta).
 
-    `rate` is the formula as a function of eta and the coefficients C, eta0 and exponent.
+    `size`: number of coefficients.
+
+    `rate` is the formula as a function of eta and the coefficients C, eta0 and exponent. A fit determines theta: the
+    rate (of power: its logarithm) is theta_0 t, or theta_0 + theta_1 t, where t is ln(eta), ln(100 eta), eta or 1.
     """
 
     name: str
@@ -89,19 +95,44 @@ class Form:
     of_log: bool
     rate: Callable[[Lanes, float, float, float], Lanes]
 
-    def variable(self, relief: ManyLanes) -> ManyLanes:
-        """Return the variable t in which the rate (of power: its logarithm) is theta_0 t, or theta_0 + theta_1 t."""
-        if self.name == "constant":
-            return np.ones_like(relief)
-        return np.log(100 * relief if self.name == "percent" else relief) if self.of_log else relief
+    def columns(self, relief: ManyLanes) -> Columns:
+        """Return the columns by which theta is multiplied."""
+        one, t = np.ones_like(relief), np.log(100 * relief if self.name == "percent" else relief)
+        t = one if self.name == "constant" else t if self.of_log else relief
+        return t[..., None] if self.size == 1 else np.stack([one, t], axis=-1)
+
+    def residuals(self, theta: Theta, relief: Lanes, rate: Lanes) -> tuple[Lanes, Jacobian, LaneFlags]:
+        """Return residuals, their derivatives by theta, and the active lanes: those seen, or predicted to penetrate."""
+        jacobian = self.columns(relief)
+        predicted = jacobian @ theta
+        if self.name == "power":
+            predicted = np.exp(np.minimum(predicted, _LARGEST_EXPONENT))
+            jacobian = predicted[:, None] * jacobian
+        active = (predicted > 0) | ((rate > 0) & (self.name not in BEGINNING))
+        return np.where(active, predicted, 0.0) - rate, jacobian * active[:, None], active
+
+    def coefficients(self, theta: Theta) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 coefficients"]]:
+        """Return C, eta0 and exponent (NaN: the form has none), and their derivatives with respect to theta."""
+        if self.size == 1:
+            return np.array([theta[0], np.nan, np.nan]), np.array([[1.0], [np.nan], [np.nan]])
+        (level, slope), none = theta, [np.nan, np.nan]
+        if self.name == "power":
+            c = np.exp(level)
+            return np.array([c, np.nan, slope]), np.array([[c, 0.0], none, [0.0, 1.0]])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            onset = -level / slope
+            eta0 = np.exp(onset) if self.of_log else onset
+            by_level = -(eta0 if self.of_log else 1.0) / slope
+            slopes = [[0.0, 1.0], [by_level, by_level * onset], none]
+        return np.array([slope, eta0, np.nan]), np.array(slopes)
 
 
 FORMS = (
-    Form("literal", "C ln(eta)", 1, True, lambda eta, C, eta0, exponent: C * np.log(eta)),
-    Form("percent", "C ln(100 eta)", 1, True, lambda eta, C, eta0, exponent: C * np.log(100.0 * eta)),
-    Form("onset", "C ln(eta/eta0)", 2, True, lambda eta, C, eta0, exponent: C * np.log(eta / eta0)),
-    Form("line", "C (eta - eta0)", 2, False, lambda eta, C, eta0, exponent: C * (eta - eta0)),
-    Form("power", "C eta^exponent", 2, True, lambda eta, C, eta0, exponent: C * eta**exponent),
+    Form("literal", "C ln(η)", 1, True, lambda eta, C, eta0, exponent: C * np.log(eta)),
+    Form("percent", "C ln(100 η)", 1, True, lambda eta, C, eta0, exponent: C * np.log(100.0 * eta)),
+    Form("onset", "C ln(η/η₀)", 2, True, lambda eta, C, eta0, exponent: C * np.log(eta / eta0)),
+    Form("line", "C (η − η₀)", 2, False, lambda eta, C, eta0, exponent: C * (eta - eta0)),
+    Form("power", "C ηⁿ", 2, True, lambda eta, C, eta0, exponent: C * eta**exponent),
     Form("constant", "C", 1, False, lambda eta, C, eta0, exponent: C * np.ones_like(eta)),
 )
 
@@ -118,55 +149,6 @@ SAME_AS_ONSET = ("literal", "percent")
 
 CONTAINED = {"literal": ("onset",), "percent": ("onset",), "constant": ("onset", "line", "power")}
 """Forms that contain another one as a special case: they are no rivals of it, since they cannot be worse."""
-
-
-@dataclass(frozen=True)
-class Model:
-    """Rates of a form over lanes, in units of the greatest rate, as a function of theta in a scaled variable."""
-
-    form: Form
-    relief: Lanes
-    centre: float
-    spread: float
-
-    @classmethod
-    def of(cls, form: Form, relief: Lanes, seen: LaneFlags) -> "Model":
-        """Return the model of a form, with its variable scaled by the lanes that penetrate."""
-        t = form.variable(relief[seen])
-        centre = 0.0 if form.size == 1 else float(t.mean())
-        return cls(form, relief, centre, float(np.sqrt(np.mean((t - centre) ** 2))))
-
-    def columns(self, relief: ManyLanes) -> Columns:
-        """Return the columns by which theta is multiplied."""
-        z = (self.form.variable(relief) - self.centre) / self.spread
-        return z[..., None] if self.form.size == 1 else np.stack([np.ones_like(z), z], axis=-1)
-
-    def residuals(self, theta: Theta, rate: Lanes) -> tuple[Lanes, Jacobian, LaneFlags]:
-        """Return residuals, their derivatives by theta, and the active lanes: those seen, or predicted to penetrate."""
-        jacobian = self.columns(self.relief)
-        predicted = jacobian @ theta
-        if self.form.name == "power":
-            predicted = np.exp(np.minimum(predicted, _LARGEST_EXPONENT))
-            jacobian = predicted[:, None] * jacobian
-        seen = rate > 0 if self.form.name not in BEGINNING else np.zeros(rate.size, bool)
-        active = seen | (predicted > 0)
-        return np.where(active, predicted, 0.0) - rate, jacobian * active[:, None], active
-
-    def coefficients(self, theta: Theta) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 coefficients"]]:
-        """Return C, eta0 and exponent (NaN: the form has none), and their derivatives with respect to theta."""
-        none, centre, spread = [np.nan] * self.form.size, self.centre, self.spread
-        if self.form.size == 1:
-            return np.array([theta[0] / spread, np.nan, np.nan]), np.array([[1 / spread], none, none])
-        if self.form.name == "power":
-            exponent = theta[1] / spread
-            c = np.exp(theta[0] - exponent * centre)
-            return np.array([c, np.nan, exponent]), np.array([[c, -c * centre / spread], none, [0.0, 1 / spread]])
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            onset = centre - spread * theta[0] / theta[1]
-            eta0 = np.exp(onset) if self.form.of_log else onset
-            slope = (eta0 if self.form.of_log else 1.0) * spread / theta[1]
-            slopes = [[0.0, 1 / spread], [-slope, slope * theta[0] / theta[1]], none]
-        return np.array([theta[1] / spread, eta0, np.nan]), np.array(slopes)
 
 
 def linear_problem(form: Form, columns: Columns, rate: ManyLanes, near: ManyLanes) -> tuple[Columns, ManyLanes]:
@@ -196,7 +178,8 @@ class Minimum:
     of `jacobian` with itself its curvature.
     """
 
-    model: Model
+    form: Form
+    relief: Lanes
     theta: Theta
     residual: Lanes
     active: LaneFlags
@@ -218,10 +201,10 @@ def search(form: Form, relief: Lanes, rate: Lanes, robust: bool, decay: Lanes | 
         return Reason.TOO_FEW_LANES
     if not np.std(np.log(relief[seen])) > LEAST_SPREAD:
         return Reason.NO_SPREAD
-    model, rate = Model.of(form, relief, seen), rate / rate.max()
-    columns, target = linear_problem(form, model.columns(relief), rate, rate)
+    rate = rate / rate.max()
+    columns, target = linear_problem(form, form.columns(relief), rate, rate)
     theta, converged, scale = np.linalg.lstsq(whiten(columns, decay), whiten(target, decay))[0], True, np.inf
-    residual, jacobian, active = model.residuals(theta, rate)
+    residual, jacobian, active = form.residuals(theta, relief, rate)
     is_solved = form.name != "power" and np.array_equal(active, seen)
     for turn in range(is_solved, 1 + _SCALE_ROUNDS * robust):  # turn 0: of squares
         before = scale
@@ -229,22 +212,23 @@ def search(form: Form, relief: Lanes, rate: Lanes, robust: bool, decay: Lanes | 
         if turn > 1 and abs(scale - before) <= _SAME_SCALE * scale:
             break
         solution = least_squares(
-            lambda theta: whiten(model.residuals(theta, rate)[0], decay),
+            lambda theta: whiten(form.residuals(theta, relief, rate)[0], decay),
             theta,
-            lambda theta: whiten(model.residuals(theta, rate)[1], decay),
+            lambda theta: whiten(form.residuals(theta, relief, rate)[1], decay),
             loss="soft_l1" if turn else "linear",
             f_scale=scale if turn else 1.0,
             max_nfev=_MOST_EVALUATIONS,
             **dict.fromkeys(("ftol", "xtol", "gtol"), _ROBUST_TOLERANCE if turn else _TOLERANCE),
         )
         theta, converged = solution.x, solution.status > 0 and bool(np.abs(solution.x).max() < _LARGEST_THETA)
-        residual, jacobian, active = model.residuals(theta, rate)
+        residual, jacobian, active = form.residuals(theta, relief, rate)
     if not (converged and np.isfinite(theta).all()):
         return Reason.NOT_CONVERGED
     # The loss 2 s² (sqrt(1 + (r/s)²) - 1) has the slope 2 r (1 + (r/s)²)^(-1/2) and the curvature 2 (1 + ...)^(-3/2).
     white = whiten(residual, decay)
     bend = 1 + (white / scale) ** 2
-    return Minimum(model, theta, residual, active, bend[:, None] ** -0.75 * whiten(jacobian, decay), bend**0.25 * white)
+    jacobian = bend[:, None] ** -0.75 * whiten(jacobian, decay)
+    return Minimum(form, relief, theta, residual, active, jacobian, bend**0.25 * white)
 
 
 def spread_of(residual: Lanes) -> float:

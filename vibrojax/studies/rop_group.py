@@ -4,16 +4,16 @@ The rows of a log are in order of depth. Neighbours are correlated, so that rows
 one, but in blocks that are longer than the correlation.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from scipy.ndimage import median_filter
+from scipy.ndimage import label, median_filter
 from scipy.special import stdtrit
 
 from vibrojax.studies import rop_forms
-from vibrojax.studies.rop_forms import FORMS, LaneBlocks, LaneFlags, Lanes, Minimum, Model, search, spread_of, whiten
+from vibrojax.studies.rop_forms import FORMS, Form, LaneBlocks, LaneFlags, Lanes, Minimum, search, spread_of, whiten
 
 LEAST_DEGREES_OF_FREEDOM = 2
 """Degrees of freedom below which forms are not compared: the correction of AIC for small samples, 2k(k + 1)/(n - k - 1)
@@ -30,7 +30,7 @@ _MOST_BLOCKS, _ROWS_PER_BLOCK = 20, 10
 # and the founder weight follow from the data, and an interval that is too short is the worse fault.
 _TWO_ERRORS = 2.0, 0.9925
 _LARGEST_CORRELATION = 0.97
-_TINY = 1e-30  # sum of squares of an exact fit
+_TINY = 1e-24  # sum of squares of an exact fit, whose residuals are rounding errors
 _EPSILON = float(np.finfo(float).eps)
 
 _FAR = 3.0  # interquartile ranges beyond the quartiles from which a weight is far from the others
@@ -118,7 +118,7 @@ def fit_lanes(
     `has_force`: whether `weight` is the mean force, without which no founder weight is sought.
     """
     founder, wrong = Founder(), dict[str, LaneFlags]()
-    if measured and rate.size >= LEAST_CLEANED and (rate > 0).any():
+    if measured and rate.size >= LEAST_CLEANED and (rate > 0).any() and np.ptp(relief) > 0:
         founder, wrong = clean(relief, weight, rate, robust, has_force)
     keep = ~np.any([np.zeros(rate.size, bool), *wrong.values()], axis=0)
     above = keep & (weight > founder.end)  # none, if that is NaN
@@ -145,10 +145,8 @@ def clean(
     for values, sign in ((weight, 1.0), (np.log(weight), -1.0)):
         low, high = np.quantile(sign * values, (0.25, 0.75))
         far |= sign * values > high + _FAR * max(high - low, _LEAST_RANGE * (abs(high) if sign > 0 else 1.0))
-    starts = np.flatnonzero(np.diff(far, prepend=False) & far)
-    ends = np.flatnonzero(np.diff(far, append=False) & far) + 1
-    for start, end in zip(starts, ends, strict=True):
-        far[start:end] = end - start <= _LONGEST_SPIKE
+    spike, _ = label(far)
+    far &= np.bincount(spike)[spike] <= _LONGEST_SPIKE
     far &= far.sum() <= 1 + _MOST_SPIKES * weight.size
     keep, founder = ~far, Founder()
     fits = [search(form, relief[keep], rate[keep], robust) for form in FORMS if form.size == 2]
@@ -182,7 +180,6 @@ def _wrong_rates(residual: Lanes, weight: Lanes) -> LaneFlags:
 class _Profile(NamedTuple):
     """Fits of a form for several founder weights: sums of squares, theta and the fall, its error, and residuals."""
 
-    model: Model
     squares: Float[np.ndarray, " bends"]
     theta: Float[np.ndarray, "bends coefficients"]
     fall_stderr: Float[np.ndarray, " bends"]
@@ -206,12 +203,14 @@ def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> 
     def between(beside: int) -> Float[np.ndarray, " bends"]:
         return np.unique(np.quantile(order[beside : order.size - beside] / top, np.linspace(0, 1, _BENDS)))
 
-    models = [Model.of(form, relief, seen) for form in FORMS if form.size == 2]
+    def profiles(bends: Float[np.ndarray, " bends"]) -> list[_Profile]:
+        return [_profile(form, relief, x, y, bends, decay) for form in FORMS if form.size == 2]
+
     rho = 0.0
     for _ in range(2):  # the second time with the correlation of the first residuals
         decay = decay_of(rho, row)
         straight, best = (
-            min((_profile(model, x, y, bend, decay) for model in models), key=lambda profile: profile.squares.min())
+            min(profiles(bend), key=lambda profile: profile.squares.min())
             for bend in (np.array([np.inf]), between(beside))
         )
         rho = correlation(best.residual[:, np.argmin(best.squares)], row)
@@ -221,26 +220,28 @@ def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> 
     near = between(_FEWEST_BESIDE)
     for _ in range(_ZOOMS):  # all forms, and weights with few rows beside, are within the error
         bends = near
-        profiles = [_profile(model, x, y, bends, decay) for model in models]
-        squares = np.min([profile.squares for profile in profiles], axis=0)
+        of_forms = profiles(bends)
+        squares = np.min([profile.squares for profile in of_forms], axis=0)
         k, likely = int(np.argmin(squares)), rate.size * np.log(squares / squares.min()) <= _LIKELY
         first, last = np.flatnonzero(likely)[[0, -1]]
         near = np.linspace(bends[max(first - 1, 0)], bends[min(last + 1, bends.size - 1)], _BENDS)
-    best = min(profiles, key=lambda profile: profile.squares[k])
+    best = min(of_forms, key=lambda profile: profile.squares[k])
     error, fall = np.abs(bends[likely] - bends[k]).max() / 2, float(best.theta[k, 2])
     values = float(bends[k] * top), float(error * top), fall * (fall > _LEAST_FALL) * scale
     return Founder(*values, float(best.fall_stderr[k] * scale), rho), best.residual[:, k]
 
 
-def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, " bends"], decay: Lanes) -> _Profile:
+def _profile(
+    form: Form, relief: Lanes, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, " bends"], decay: Lanes
+) -> _Profile:
     """Fit the law up to each founder weight of `bends`, and a linear fall above it, by linear least squares."""
-    weight, rate, is_power = weight[:, None], rate[:, None], model.form.name == "power"
+    weight, rate, is_power = weight[:, None], rate[:, None], form.name == "power"
     excess = np.maximum(weight - bends, 0.0)
-    columns, law = model.columns(model.relief[:, None] * np.minimum(1.0, bends / weight)), rate
+    columns, law = form.columns(relief[:, None] * np.minimum(1.0, bends / weight)), rate
     for turn in range(2 if is_power else 3):
         if turn and not is_power and (law[rate[:, 0] > 0] > 0).all():
             break
-        slopes, target = rop_forms.linear_problem(model.form, columns, rate, law)
+        slopes, target = rop_forms.linear_problem(form, columns, rate, law)
         slopes = np.concatenate([slopes, -(excess * (rate > 0))[..., None]], axis=-1)
         slopes, target = whiten(slopes, decay), whiten(target, decay)
         normal, right = np.einsum("rbi,rbj->bij", slopes, slopes), np.einsum("rbi,rb->bi", slopes, target + 0 * excess)
@@ -253,7 +254,7 @@ def _profile(model: Model, weight: Lanes, rate: Lanes, bends: Float[np.ndarray, 
     residual = np.where(rate > 0, np.maximum(law, 0.0) - theta[:, 2] * excess - rate, 0.0)
     squares = np.maximum(np.sum(whiten(residual, decay) ** 2, axis=0), _TINY)
     errors = np.sqrt(inverse[:, 2, 2] * squares / max(rate.size - 4, 1))
-    return _Profile(model, squares, theta, errors, residual)
+    return _Profile(squares, theta, errors, residual)
 
 
 # Correlated rows
@@ -266,7 +267,7 @@ def correlation(residual: Lanes, row: LaneBlocks) -> float:
     """
     pairs = np.flatnonzero(np.diff(row) == 1)
     variance = float(np.mean(residual**2)) if pairs.size else 0.0
-    rho = float(np.mean(residual[pairs] * residual[pairs + 1])) / variance if variance > 0 else 0.0
+    rho = float(np.mean(residual[pairs] * residual[pairs + 1])) / variance if variance > _TINY else 0.0
     return min(rho + (2 + 4 * rho) / pairs.size, _LARGEST_CORRELATION) if rho > 0 else 0.0
 
 
@@ -278,7 +279,8 @@ def decay_of(rho: float, row: LaneBlocks) -> Lanes:
 def predictions_without(minimum: Minimum, rate: Lanes, block: LaneBlocks) -> Lanes:
     """Return the residuals of each block of rows, predicted from the fit to the rows of all other blocks."""
     moved = minimum.theta + rop_forms.moves_without(minimum, block)
-    return np.concatenate([minimum.model.residuals(theta, rate)[0][block == k] for k, theta in enumerate(moved)])
+    residuals = [minimum.form.residuals(theta, minimum.relief, rate)[0] for theta in moved]
+    return np.array(residuals)[block, np.arange(rate.size)]
 
 
 # The forms
@@ -286,47 +288,43 @@ def predictions_without(minimum: Minimum, rate: Lanes, block: LaneBlocks) -> Lan
 
 def _fit_forms(relief: Lanes, rate: Lanes, robust: bool, unknown: bool, row: LaneBlocks | None) -> pd.DataFrame:
     """Return the values of every form, and compare the forms; `row`: the number of each row of a log."""
-    forms = [form for form in FORMS if not (unknown and form.name in rop_forms.SAME_AS_ONSET)]
-    found = {form.name: search(form, relief, rate, robust) for form in forms}
-    minima = {name: x for name, x in found.items() if isinstance(x, Minimum)}
     rho, block, decay = 0.0, None, None
-    if row is not None and minima:
-        rho = correlation(min((minimum.residual for minimum in minima.values()), key=np.linalg.norm), row)
+
+    def minima_of() -> dict[str, Minimum | rop_forms.Reason]:
+        return {form.name: search(form, relief, rate, robust, decay) for form in FORMS if form.name not in same}
+
+    same = rop_forms.SAME_AS_ONSET * unknown
+    found = minima_of()
+    if row is not None and (residuals := [x.residual for x in found.values() if isinstance(x, Minimum)]):
+        rho = correlation(min(residuals, key=np.linalg.norm), row)
         if rate.size >= LEAST_ROWS and np.ptp(relief) > 0:
             # The rows are whitened, so that blocks need not exceed the length of correlation.
             block = np.arange(rate.size) * int(np.clip(rate.size // _ROWS_PER_BLOCK, 1, _MOST_BLOCKS)) // rate.size
             decay = decay_of(rho, row)
-            found = {form.name: search(form, relief, rate, robust, decay) for form in forms}
-            minima = {name: x for name, x in found.items() if isinstance(x, Minimum)}
-    fits: dict[str, dict[str, Any]] = {}
-    for name in NAMES:
-        reason = found.get(name, rop_forms.Reason.UNKNOWN_THRESHOLD)
-        missing = {"reason": reason, "r_squared_reason": reason, "degrees_of_freedom": 0}
-        fits[name] = _coefficients(minima[name], rate, block) if name in minima else missing
-    table = pd.DataFrame.from_dict(fits, orient="index").reindex(columns=_COLUMNS)
+            found = minima_of()
+    missing = dict.fromkeys(same, rop_forms.Reason.UNKNOWN_THRESHOLD)
+    records = {}
+    for name, x in {**missing, **found}.items():
+        unfitted = {"reason": x, "r_squared_reason": x, "degrees_of_freedom": 0}
+        records[name] = _values(x, rate, block, decay) if isinstance(x, Minimum) else unfitted
+    table = pd.DataFrame.from_dict(records, orient="index").reindex(NAMES, columns=_COLUMNS)
     table["used"], table["standing"] = rate.size, int(rop_forms.Standing.NOT_COMPARED)
-    against = pd.Series(np.nan, table.index)
-    if block is not None:
-        limit = rop_forms.BLOCK_LIMIT
-        for name, minimum in minima.items():
-            residual = predictions_without(minimum, rate / rate.max(), block)
-            table.loc[name, "cv_error"] = rate.max() * np.sqrt(np.mean(residual**2))
-            against[name] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))
-    elif len(minima) == len(forms) and table["degrees_of_freedom"][list(minima)].min() >= LEAST_DEGREES_OF_FREEDOM:
-        limit = rop_forms.AIC_LIMIT if row is None else rop_forms.BLOCK_LIMIT
+    limit = rop_forms.AIC_LIMIT if row is None else rop_forms.BLOCK_LIMIT
+    if block is None:
+        freedom = table["degrees_of_freedom"].drop(list(same))
+        if freedom.min() < LEAST_DEGREES_OF_FREEDOM:
+            return table
         costs = np.array([2 * form.size for form in FORMS])
-        exact = rate.size * 2 * np.log(rop_forms.LEAST_SPREAD * rate.max())  # below it, forms are equally exact
+        exact = rate.size * 2 * np.log(rop_forms.EXACT * rate.max())  # below it, forms are equally exact
         independent = (1 - rho) / (1 + rho)  # correlated rows count as fewer independent ones
-        against = independent * np.maximum(table["aic"] - costs, exact) + costs
-    else:
-        return table
-    table["evidence_against"] = against - against.min()
+        table["evidence_against"] = independent * np.maximum(table["aic"] - costs, exact) + costs
+    table["evidence_against"] -= table["evidence_against"].min()
     table["standing"] = rop_forms.standings(table["evidence_against"].to_numpy(), NAMES, limit)
     return table
 
 
-def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> dict[str, float | int]:
-    """Return the coefficients of a form with standard errors, R², AIC, and degrees of freedom.
+def _values(minimum: Minimum, rate: Lanes, block: LaneBlocks | None, decay: Lanes | None) -> dict[str, float | int]:
+    """Return the coefficients of a form with standard errors, R², AIC, and the errors of predicted blocks.
 
     Standard errors are HC3 or, with blocks, those of their jackknife: Student's quantile for the number of blocks makes
     two standard errors hold the truth as often as they should.
@@ -334,26 +332,30 @@ def _coefficients(minimum: Minimum, rate: Lanes, block: LaneBlocks | None) -> di
     R² is NaN if the rates do not vary. RSS/n has a lower bound, the squared rounding error of the greatest rate, so
     that the AIC of exact data is finite.
     """
-    unit, size = float(rate.max()), minimum.theta.size
+    unit, size, theta = float(rate.max()), minimum.theta.size, minimum.theta
+    y = rate / unit
     moves = rop_forms.moves_without(minimum, np.arange(rate.size) if block is None else block)
     square = moves.T @ moves
     if block is not None:
         student = float(stdtrit(len(moves) - size, _TWO_ERRORS[1])) / _TWO_ERRORS[0]
         square *= (len(moves) - 1) / len(moves) * student**2
-    values, slopes = minimum.model.coefficients(minimum.theta)
+    values, slopes = minimum.form.coefficients(theta)
     errors = np.sqrt(np.einsum("ci,ij,cj->c", slopes, square, slopes))
     fit: dict[str, float | int] = {"reason": rop_forms.Reason.IDENTIFIED}
-    if size == 2 and minimum.model.form.name != "power":
+    if minimum.form.name in rop_forms.BEGINNING:
         # A horizontal line has C close to zero, and no onset.
         least = max(_LEAST_SLOPE, _LEAST_SLOPE_IN_ERRORS * float(np.sqrt(square[1, 1])))
-        if abs(minimum.theta[1]) <= least or not np.isfinite(values[1]):
+        if abs(theta[1]) <= least or not np.isfinite(values[1]):
             values[1], fit["reason"] = np.nan, rop_forms.Reason.NO_SLOPE
     errors[np.isnan(values)] = np.nan
     for name, scale, value, error in zip(COEFFICIENTS, (unit, 1.0, 1.0), values, errors, strict=True):
         fit |= {name: scale * value, f"{name}_stderr": scale * error}
-    y = rate / unit
     squares, about_mean = float(np.sum(minimum.residual**2)), float(np.sum((y - y.mean()) ** 2))
-    varies = about_mean > rate.size * rop_forms.LEAST_SPREAD**2
+    varies = about_mean > rate.size * rop_forms.EXACT**2
+    if block is not None:
+        residual = predictions_without(minimum, y, block)
+        fit["cv_error"] = unit * np.sqrt(np.mean(residual**2))
+        fit["evidence_against"] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))
     return fit | {
         "r_squared": 1 - squares / about_mean if varies else np.nan,
         "r_squared_reason": rop_forms.Reason.IDENTIFIED if varies else rop_forms.Reason.CONSTANT_RATES,

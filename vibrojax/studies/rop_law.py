@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -59,14 +60,11 @@ _KEPT = (
 )
 """Attributes of the data that a fit keeps."""
 
-_FORM, _LANE = "form", "lane"
+_FORM, _LANE, _GROUP = "form", "lane", "group"
 SCHEMA = {
     "C": Variable("m s-1", "coefficient of the rate-of-penetration law", along=_FORM),
-    "C_stderr": Variable("m s-1", "standard error of C", along=_FORM),
     "eta0": Variable("1", "relief (mean force divided by D) at which penetration begins", along=_FORM),
-    "eta0_stderr": Variable("1", "standard error of eta0", along=_FORM),
     "exponent": Variable("1", "exponent of the relief", along=_FORM),
-    "exponent_stderr": Variable("1", "standard error of the exponent", along=_FORM),
     "r_squared": Variable("1", "share of the rate's variance that the form explains", along=_FORM),
     "aic": Variable("1", "Akaike criterion n ln(RSS/n) + 2k of n lanes and k coefficients, RSS in m2 s-2", along=_FORM),
     "cv_error": Variable(
@@ -89,13 +87,10 @@ SCHEMA = {
     "r_squared_reason": Variable("1", "reason why r_squared is NaN", np.int8, REASONS, along=_FORM),
     "standing": Variable("1", "result of the comparison of the forms", np.int8, STANDINGS, along=_FORM),
     "onset_force": Variable("N", "mean force at which penetration begins, eta0 D", along=_FORM),
-    "onset_force_stderr": Variable("N", "standard error of onset_force", along=_FORM),
     "founder_weight": Variable("N", "mean force above which the rate of penetration does not rise"),
-    "founder_weight_stderr": Variable("N", "standard error of the founder weight"),
     "founder_fall": Variable(
         "m s-1 N-1", "decrease of the rate of penetration per unit of mean force above the founder weight"
     ),
-    "founder_fall_stderr": Variable("m s-1 N-1", "standard error of founder_fall"),
     "noise_correlation": Variable("1", "correlation of the noise of neighbouring rows"),
     "data_threshold": Variable("N", "mean force at which the relief is 1: D, or reference_force if D is unknown"),
     "data_relief": Variable("1", "relief of the lanes that were fitted", along=_LANE),
@@ -103,6 +98,11 @@ SCHEMA = {
     "data_use": Variable("1", "treatment of the lane by the fit", np.int8, USES, along=_LANE),
 }
 """Variables of a fit over its groups, and `along` its forms or lanes. `onset_force` needs an unknown threshold."""
+
+SCHEMA |= {
+    f"{name}_stderr": replace(SCHEMA[name], long_name=f"standard error of {name}")
+    for name in ("C", "eta0", "exponent", "onset_force", "founder_weight", "founder_fall")
+}
 
 
 def fit_rop(
@@ -161,25 +161,24 @@ def fit_rop(
     place, data = _read(data, columns, where, nulls)
     measured, unknown = "dialect" in data.attrs, "reference_force" in data.attrs
     loss = choice(place.at("robust"), robust or ("soft-l1" if measured else "squares"), LOSSES)
-    groups = _grouped(place, _lanes(place, data), along, (by,) if isinstance(by, str) else tuple(by))
-    dims, along = groups["rate"].dims[:-1], groups.attrs["along"]
-    counts = groups["is_lane"].sum(_LANE).values.ravel()
+    by = (by,) if isinstance(by, str) else tuple(by)
+    lanes, along, sizes, coordinates = _grouped(place, _lanes(place, data), along, by)
+    counts, has_force = np.bincount(lanes[_GROUP]), _has_force(data)
     LOG.info("chosen: along %s, %d groups, loss %s", along, counts.size, loss)
     start = time.monotonic()
-    lanes = {str(name): x.values.reshape(counts.size, -1) for name, x in groups.items()}
-    valid, is_lane, has_force = lanes["valid"], lanes["is_lane"], _has_force(data)
-    use = np.select([~is_lane, valid & (lanes["rate"] > 0), valid], [0, 1, 2], USES.index("left-out"))
-    fits, left_out, threshold = [], {NO_VALUES: is_lane & ~valid}, np.full(counts.size, np.nan)
+    valid, threshold = lanes["valid"], np.full(counts.size, np.nan)
+    use = np.select([valid & (lanes["rate"] > 0), valid], [1, 2], USES.index("left-out"))
+    left_out, fits, rows_of = {NO_VALUES: ~valid}, [], lanes.index[valid].groupby(lanes[_GROUP][valid])
     for group in range(counts.size):
-        rows = np.flatnonzero(valid[group])
-        relief, weight, rate = (lanes[name][group, rows] for name in ("relief", "weight", "rate"))
+        rows = np.array(rows_of.get(group, ()), int)
+        relief, weight, rate = lanes.loc[rows, ["relief", "weight", "rate"]].to_numpy().T
         if has_force and rows.size and np.ptp(weight / relief) <= _SAME * (weight / relief).max():
             threshold[group] = np.median(weight / relief)
         fits.append(fit_lanes(relief, weight, rate, loss != "squares", measured, unknown, has_force))
         for reason, mask in fits[-1].wrong.items():
-            left_out.setdefault(reason, np.zeros_like(valid))[group, rows[mask]] = True
-            use[group, rows[mask]] = USES.index("left-out")
-        use[group, rows[fits[-1].above]] = USES.index("above-founder")
+            left_out.setdefault(reason, np.zeros_like(valid))[rows[mask]] = True
+            use[rows[mask]] = USES.index("left-out")
+        use[rows[fits[-1].above]] = USES.index("above-founder")
     if progress:
         fitted = f"{counted(counts.size, 'group')} of {counted(counts.max(), 'lane')} along {along} fitted"
         print("\n".join([*log_lines(data), f"{fitted} in {time.monotonic() - start:.1f} s"]), file=sys.stderr)
@@ -189,10 +188,10 @@ def fit_rop(
         values[f"onset_force{name}"] = data.attrs["reference_force"] * values[f"eta0{name}"]
     of_founder = [*(f"founder_{name}" for name in Founder._fields[:4]), "noise_correlation"]
     values |= zip(of_founder, np.array([fit.founder for fit in fits]).T, strict=True)
-    values |= {"data_threshold": threshold, "data_use": use}
-    for name, column in ((RELIEF, "relief"), (RATE, "rate")):
-        values[f"data_{name}"] = np.where(is_lane, lanes[column], np.nan)
-    limit = BLOCK_LIMIT if measured else AIC_LIMIT
+    values["data_threshold"] = threshold
+    for name, column in ((f"data_{RELIEF}", lanes["relief"]), (f"data_{RATE}", lanes["rate"]), ("data_use", use)):
+        values[name] = np.full((counts.size, counts.max()), 0 if column is use else np.nan)
+        values[name][lanes[_GROUP], lanes[_LANE]] = column
     attributes = dataset_attributes(
         "fit",
         f"Rate-of-penetration law: {title_of(data, place.file)}",
@@ -200,19 +199,21 @@ def fit_rop(
         **{name: data.attrs[name] for name in _KEPT if name in data.attrs},
         along=along,
         formulas="; ".join(f"{name}: {formula}" for name, formula in FORMULAS.items()),
-        verdict=supported(values["standing"], values["evidence_against"], NAMES, limit),
+        verdict=supported(
+            values["standing"], values["evidence_against"], NAMES, BLOCK_LIMIT if measured else AIC_LIMIT
+        ),
         robust=loss,
     )
     numbers = {reason: np.unique(lanes["number"][mask].astype(int)) for reason, mask in left_out.items() if mask.any()}
     if measured and numbers:
         rows_left_out = {reason: {"rows": x.size, "lines": line_ranges(x)} for reason, x in numbers.items()}
         attributes["left_out_rows"] = json.dumps(rows_left_out)
-    sizes, variables = [groups.sizes[dim] for dim in dims], {}
+    variables = {}
     for name, x in values.items():
         further = [SCHEMA[name].along] if SCHEMA[name].along else []
-        variables[name] = (*dims, *further), np.reshape(x, [*sizes, *[-1] * len(further)])
+        variables[name] = (*sizes, *further), np.reshape(x, [*sizes.values(), *x.shape[1:]])
     form = (_FORM, NAMES, {"units": "1", "long_name": "form of the law"})
-    return xr.Dataset(described(variables, SCHEMA), {**groups.coords, _FORM: form}, attributes)
+    return xr.Dataset(described(variables, SCHEMA), {**coordinates, _FORM: form}, attributes)
 
 
 # Data
@@ -220,15 +221,13 @@ def fit_rop(
 
 def _read(data: Data, columns: Columns, where: Where, nulls: Nulls) -> tuple[Place, xr.Dataset]:
     """Return the name of the data in messages, and a dataset with rate_of_penetration [m/s] and relief [1]."""
-    if isinstance(data, (xr.Dataset, pd.DataFrame)):
-        place, suffix = Place("fit_rop"), ".nc" if isinstance(data, xr.Dataset) else ".csv"
-    elif isinstance(data, (str, PathLike)):
-        place, suffix = Place(str(data)), Path(data).suffix.lower()
-    else:
+    if not isinstance(data, (xr.Dataset, pd.DataFrame, str, PathLike)):
         raise InputError(f"fit_rop: {shown(data)} is not data; give a dataset or a path")
-    if suffix in LOG_ENDINGS:
-        return place, _read_rows(place, data if isinstance(data, pd.DataFrame) else Path(data), columns, where, nulls)
-    if suffix != ".nc":
+    is_path = isinstance(data, (str, PathLike))
+    place, suffix = Place(str(data) if is_path else "fit_rop"), Path(data).suffix.lower() if is_path else ""
+    if isinstance(data, pd.DataFrame) or suffix in LOG_ENDINGS:
+        return place, _read_rows(place, Path(data) if is_path else data, columns, where, nulls)
+    if is_path and suffix != ".nc":
         fault = "ends in neither .nc nor .csv nor .las"
         raise place.error(f"{fault}; give a sweep's dataset or a rig log (also .txt, .xml, .xlsx)")
     if columns:
@@ -238,7 +237,7 @@ def _read(data: Data, columns: Columns, where: Where, nulls: Nulls) -> tuple[Pla
         raise place.error(fault)
     from vibrojax.io.dataset import open_dataset
 
-    return place, data if isinstance(data, xr.Dataset) else open_dataset(Path(data))
+    return place, data if isinstance(data, xr.Dataset) else open_dataset(Path(str(data)))
 
 
 def _read_rows(place: Place, source: Path | pd.DataFrame, columns: Columns, where: Where, nulls: Nulls) -> xr.Dataset:
@@ -266,8 +265,7 @@ def _read_rows(place: Place, source: Path | pd.DataFrame, columns: Columns, wher
     needed = (RATE, FORCE, *([] if is_unknown else [THRESHOLD])) if by_force else (RATE, RELIEF)
     if missing := [name for name in needed if name not in log]:
         name, free = missing[0], [str(name) for name in log if name not in (*log.attrs["units"], LINE)]
-        units = {cell: known.split_unit(cell)[1] for cell in free}
-        likely = [cell for cell, unit in units.items() if unit and factor(unit, KNOWN[name].unit) is not None]
+        likely = [cell for cell in free if factor(known.split_unit(cell)[1] or "1", KNOWN[name].unit) is not None]
         hint = f"of other columns, the file has {', '.join(free)}" if free else "name its column with --columns"
         if like := likely[0] if likely else nearest(name, free):
             hint = f"if {shown(like)} is it, name it with its unit: --columns {shell_assignment(name, like)}"
@@ -291,7 +289,7 @@ def _has_force(data: xr.Dataset) -> bool:
 
 
 def _lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
-    """Return the lanes, broadcast, with their coordinates: `relief`, `rate`, `weight`, `number`, `valid` and `is_lane`.
+    """Return the lanes, broadcast, with their coordinates: `relief`, `rate`, `weight`, `number` and `valid`.
 
     `weight` is the mean force where it is known, else the relief; `number` is the line of a row. A lane is valid unless
     it failed or is irregular, a value is not finite, its relief is not positive, or its rate is negative.
@@ -306,27 +304,28 @@ def _lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
     for name, x in columns.items():
         if (unit := stated_unit(x)) is not None:
             columns[name] = x * stated_scale(place.at(name).error, unit, KNOWN[name].unit)
-    relief, rate = xr.broadcast(columns[RELIEF], columns[RATE])
+    relief, rate = xr.broadcast(columns[RELIEF].astype(float), columns[RATE].astype(float))
     valid = (relief > 0) & (relief < np.inf) & (rate >= 0) & (rate < np.inf)
     if "regime" in data:
         valid = valid & ~data["regime"].isin([FAILED, IRREGULAR])
     if "status" in data:
         valid = valid & (data["status"] == 0)
-    weight = columns[FORCE] if _has_force(data) else relief
+    weight = columns[FORCE].astype(float) if _has_force(data) else relief
     number = data[LINE] if LINE in data.coords else xr.zeros_like(relief)
-    parts = {"relief": relief, "rate": rate, "weight": weight, "number": number}
-    parts |= {"valid": valid, "is_lane": xr.ones_like(valid)}
-    together = dict(zip(parts, xr.broadcast(*parts.values()), strict=True))
-    lanes = {name: x.variable.astype(bool if x.dtype == bool else float) for name, x in together.items()}
+    parts = {"relief": relief, "rate": rate, "weight": weight, "number": number, "valid": valid}
+    together = zip(parts, xr.broadcast(*parts.values()), strict=True)
     # Broadcasting adds the dimensions of the other variable, but not its non-index coordinates.
-    return xr.Dataset(lanes, {**rate.coords, **relief.coords})
+    return xr.Dataset({name: x.variable for name, x in together}, {**rate.coords, **relief.coords})
 
 
-def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str]) -> xr.Dataset:
-    """Return lanes in groups: one per combination of values on the axes other than `along`; they are padded by False.
+def _grouped(
+    place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[str]
+) -> tuple[pd.DataFrame, str, dict[str, int], Mapping[Any, Any]]:
+    """Return a row per lane with its `group` and its place there, the axis along, and sizes and coordinates of groups.
 
-    Rows of a table (data with one dimension) are grouped by the columns `by`, or if `along` is a column, by all other
-    columns except the mean force; those of a log from top to bottom.
+    A group is one combination of values on the axes other than `along`. Rows of a table (data with one dimension) are
+    grouped by the columns `by`, or if `along` is a column, by all other columns except the mean force; those of a log
+    from top to bottom.
     """
     dims = [str(dim) for dim in lanes["rate"].dims]
     if not dims:
@@ -336,33 +335,29 @@ def _grouped(place: Place, lanes: xr.Dataset, along: str | None, by: Sequence[st
             raise place.at(dim).error("has no values, so there are no lanes; give at least one")
     row = dims[0]
     columns = [str(name) for name, x in lanes.coords.items() if len(dims) == 1 and x.dims == (row,) != (name,)]
-    if by or along in columns:
+    if is_table := bool(by) or along in columns:
         for name in (*by, *({along} - {None, row})):
             if name not in columns:
                 own = [column for column in columns if not lanes[column].attrs] or columns  # not the quantities
                 hint = f"; {suggestion(str(name), own)}" if own else ": the data are not a table with columns"
                 here = place.at("by" if name in by else "along")
                 raise here.error(f"{shown(name)} is not a column of the data{hint}")
-        keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *known.RIG)]
-        table = pd.DataFrame({name: lanes[name].values for name in keys}, index=range(lanes.sizes[row]))
-        grouped = table.groupby(keys or np.zeros(len(table)), sort=known.DEPTH not in lanes.coords, dropna=False)
-        group, lane = grouped.ngroup().to_numpy(), grouped.cumcount().to_numpy()
-        first = np.flatnonzero(lane == 0)
-        first = first[np.argsort(group[first])]
-        variables: dict[str, Any] = {}
-        for part, x in lanes.items():
-            padded = np.zeros((first.size, lane.max() + 1), x.dtype)
-            padded[group, lane] = x.values
-            variables[str(part)] = (("group", _LANE), padded)
-        coordinates = {name: xr.Variable("group", lanes[name].values[first], lanes[name].attrs) for name in keys}
-        return xr.Dataset(variables, coordinates, {"along": along or row})
+    along = along or next((name for name in DEFAULT_AXES if name in dims), row if len(dims) == 1 else None)
     if along is None:
-        along = next((name for name in DEFAULT_AXES if name in dims), row if len(dims) == 1 else None)
-        if along is None:
-            raise place.at("along").error(f"missing; choose the axis to fit along from {', '.join(dims)}")
-    if along not in dims:
+        raise place.at("along").error(f"missing; choose the axis to fit along from {', '.join(dims)}")
+    if not is_table and along not in dims:
         hint = suggest_coordinate(str(along), {dim: lanes[dim].attrs for dim in dims})
         raise place.at("along").error(f"{shown(along)} is not an axis of the data; {hint}")
-    others: list[str] = [dim for dim in dims if dim != along]
-    variables = {str(name): ((*others, _LANE), x.values) for name, x in lanes.transpose(*others, along).items()}
-    return xr.Dataset(variables, lanes.drop_dims(along).coords, {"along": along})
+    if not is_table:
+        sizes = {dim: lanes.sizes[dim] for dim in dims if dim != along}
+        table = pd.DataFrame({name: x.values.ravel() for name, x in lanes.transpose(*sizes, along).items()})
+        table[_GROUP], table[_LANE] = np.divmod(np.arange(len(table)), lanes.sizes[along])
+        return table, along, sizes, lanes.drop_dims(along).coords
+    table = pd.DataFrame({name: x.values for name, x in lanes.items()})
+    keys = list(by) or [name for name in columns if name not in (along, FORCE, LINE, *known.RIG)]
+    of_keys = pd.DataFrame({name: lanes[name].values for name in keys}, index=table.index)
+    grouped = of_keys.groupby(keys or np.zeros(len(table)), sort=known.DEPTH not in lanes.coords, dropna=False)
+    table[_GROUP], table[_LANE] = grouped.ngroup(), grouped.cumcount()
+    first = table[table[_LANE] == 0].sort_values(_GROUP).index
+    coordinates = {name: xr.Variable(_GROUP, lanes[name].values[first], lanes[name].attrs) for name in keys}
+    return table, along, {_GROUP: first.size}, coordinates

@@ -3,7 +3,7 @@
 A *group* is a set of lanes with a law of its own; a *form* is a formula of the law.
 """
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -70,8 +70,8 @@ _MOST_EVIDENCE = 30.0  # against a form, up to which it is drawn
 # Text
 
 
-def groups_of(fit: xr.Dataset) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the name of each group, such as "force=200000 N, rock=granite", and a table of its forms, by name."""
+def groups_of(fit: xr.Dataset) -> dict[str, pd.DataFrame]:
+    """Return a table of the forms for each group by the group's name, such as "force=200000 N, rock=granite"."""
     dims = [dim for dim in fit["aic"].dims if dim != FORM]
     whole = fit.drop_dims([dim for dim in fit.dims if dim not in (*dims, FORM)])
     table = whole.to_dataframe(dim_order=[*dims, FORM]).reset_index()
@@ -81,10 +81,12 @@ def groups_of(fit: xr.Dataset) -> Iterator[tuple[str, pd.DataFrame]]:
     # A dimension without values of its own has a name only if nothing else distinguishes its groups.
     named = {dim for name in names if name in fit.coords for dim in fit[name].dims}
     units = {name: fit[name].attrs.get("units", "1") for name in names if name in fit.coords or name not in named}
+    groups = {}
     for _, part in table.groupby(np.arange(len(table)) // fit.sizes[FORM]):
         values = {name: part[name].iloc[0] for name in units}
         texts = [f"{name}={f'{x:.6g}' if isinstance(x, float) else x} {units[name]}" for name, x in values.items()]
-        yield ", ".join(text.removesuffix(" 1") for text in texts) or "all lanes", part.set_index(FORM)
+        groups[", ".join(text.removesuffix(" 1") for text in texts) or "all lanes"] = part.set_index(FORM)
+    return groups
 
 
 def founder_of(group: pd.DataFrame) -> Founder:
@@ -99,12 +101,17 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
     """
     of_forms = [str(name) for name, x in fit.items() if FORM in x.dims]
     groups = []
-    for title, group in groups_of(fit):
+    for title, group in groups_of(fit).items():
         first = group.iloc[:1].to_dict("records")[0]
-        founder = {f"founder_{name}": x for name, x in zip(Founder._fields, founder_of(group)[:4], strict=False)}
-        coordinates = {str(name): first[str(name)] for name in fit.coords if name in first}
-        about = {"name": title, "coordinates": coordinates, "forms": group[of_forms].to_dict("index"), **founder}
-        groups.append({**about, "recommended": recommended(fit, group)})
+        groups.append(
+            {
+                "name": title,
+                "coordinates": {str(name): first[str(name)] for name in fit.coords if name in first},
+                "forms": group[of_forms].to_dict("index"),
+                **{f"founder_{name}": float(first[f"founder_{name}"]) for name in Founder._fields[:4]},
+                "recommended": recommended(fit, group),
+            }
+        )
     facts: dict[str, Any] = {"along": str(fit.attrs["along"]), "columns": table_of(fit, "columns") or None}
     if "dialect" in fit.attrs:
         facts |= {name: attribute_of(fit, name) for name in ("dialect", "rows_read", "dropped", "notes")}
@@ -115,8 +122,8 @@ def law_facts(fit: xr.Dataset) -> dict[str, Any]:
 def tables(fit: xr.Dataset) -> list[str]:
     """Return lines of text: a table of the forms for each of the first groups, then the number of other groups."""
     lines: list[str] = []
-    groups = list(groups_of(fit))
-    for title, group in groups[:_GROUPS_LISTED]:
+    groups = groups_of(fit)
+    for title, group in list(groups.items())[:_GROUPS_LISTED]:
         first = group.iloc[0]
         left_out = f", {first['left_out']} left out" if first["left_out"] else ""
         lines += ["", f"{title}: {counted(first['used'], 'lane')} along {fit.attrs['along']}{left_out}"]
@@ -124,7 +131,7 @@ def tables(fit: xr.Dataset) -> list[str]:
             lines[-1] += f": {first['reason']}"
             continue
         shown = pd.DataFrame(index=group.index.rename(None))
-        for name, text in zip(COEFFICIENTS, ("C [m/s]", "eta0", "exponent"), strict=True):
+        for name, text in zip(COEFFICIENTS, ("C [m/s]", "η₀", "exponent n"), strict=True):
             pairs = zip(group[name], group[f"{name}_stderr"], strict=True)
             shown[text] = [f"{value:.4g} ± {error:.2g}" if np.isfinite(value) else "" for value, error in pairs]
         for name, text, digits in (("r_squared", "R2", ".4f"), ("aic", "AIC", ".2f"), ("cv_error", "CV [m/s]", ".4g")):
@@ -143,9 +150,10 @@ def _further(groups: int) -> list[str]:
     return [f"and {counted(groups - _GROUPS_LISTED, 'group')} more"] * (groups > _GROUPS_LISTED)
 
 
-def _listed(title: str, lines: list[str]) -> list[str]:
-    """Return a title above the first lines and the number of further ones; nothing without lines."""
-    return [title, *(f"  {line}" for line in lines[:_GROUPS_LISTED]), *_further(len(lines))] if lines else []
+def _listed(title: str, lines: Mapping[str, str]) -> list[str]:
+    """Return a title above the texts of the first groups and the number of further ones; nothing without texts."""
+    texts = [f"  {group}: {text}" for group, text in lines.items()]
+    return [title, *texts[:_GROUPS_LISTED], *_further(len(texts))] if texts else []
 
 
 def recommended(fit: xr.Dataset, group: pd.DataFrame) -> dict[str, Any] | None:
@@ -180,10 +188,10 @@ def verdict(fit: xr.Dataset) -> list[str]:
 
     **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
-    groups = dict(groups_of(fit))
+    groups = groups_of(fit)
     judged = {title: group for title, group in groups.items() if (group["standing"] != "not-compared").any()}
-    unknown, by_blocks = "reference_force" in fit.attrs, bool(fit["cv_error"].notnull().any())
-    lines = []
+    force, by_blocks = float(fit.attrs.get("reference_force", np.nan)), bool(fit["cv_error"].notnull().any())
+    lines, limits = [], [LIMITS_OF_LOGS] * is_log(fit)
     if missed := [group for title, group in groups.items() if title not in judged]:
         unfitted = (group["reason"][group["aic"].isna()] for group in missed)
         reasons = pd.Series([[*each[each != "unknown-threshold"], "too-few-lanes"][0] for each in unfitted])
@@ -191,61 +199,58 @@ def verdict(fit: xr.Dataset) -> list[str]:
         needed = f" ({LEAST_COMPARED} lanes with a rate are needed)" * ("too-few-lanes" in reasons.to_numpy())
         lines.append(f"not every form can be told in {len(missed)} of {len(groups)}: {counts}{needed}")
     if not judged:
-        return [*lines, "no form can be told from the lanes that are there"] + [LIMITS_OF_LOGS] * is_log(fit)
+        return [*lines, "no form can be told from the lanes that are there", *limits]
     how = "by the rates of each block of rows, predicted from the other blocks (CV)" if by_blocks else "by AIC"
-    compared = [f"{title}: {_comparison(group)}" for title, group in judged.items()]
+    compared = {title: _comparison(group["standing"]) for title, group in judged.items()}
     lines += _listed(f"{how}, in {len(judged)} of {len(groups)}:", compared)
     if len(judged) > 1:
         together = str(fit.attrs["verdict"]).replace("none", "no single form")
         lines.append(f"all groups together: the data support {together}")
-    kept = pd.DataFrame(
-        {title: group["standing"].isin(_KEPT) & (group["reason"] == "identified") for title, group in judged.items()}
-    ).loc[[*LOGARITHMIC]]
-    readings = "".join(f", as {name} in {count}" for name, count in kept.sum(axis=1).items() if count)
-    lines.append(f"the log law is not rejected in {kept.any().sum()} of {len(judged)}{readings}")
-    onsets = [judged[title].loc["onset"] for title in kept.columns[kept.loc["onset"]]]
-    early = [x["eta0"] for x in onsets if x["eta0"] + _ONSET_STANDARD_ERRORS * x["eta0_stderr"] < 1]
-    if early and not unknown:
-        ends = " to ".join(dict.fromkeys(f"{end:.4g}" for end in (min(early), max(early))))
+    log_laws = pd.concat(judged).loc[pd.IndexSlice[:, list(LOGARITHMIC)], :]
+    kept = log_laws[log_laws["standing"].isin(_KEPT) & (log_laws["reason"] == "identified")].reset_index(FORM)
+    in_groups = kept[FORM].value_counts().reindex(LOGARITHMIC).dropna().astype(int)
+    readings = "".join(f", as {name} in {count}" for name, count in in_groups.items())
+    lines.append(f"the log law is not rejected in {kept.index.nunique()} of {len(judged)}{readings}")
+    early = kept["eta0"][kept["eta0"] + _ONSET_STANDARD_ERRORS * kept["eta0_stderr"] < 1]
+    if early.size and np.isnan(force):
+        ends = " to ".join(dict.fromkeys(f"{end:.4g}" for end in (early.min(), early.max())))
         lines.append(
-            f"the onset eta0 {ends} is below 1 in {len(early)} of {len(judged)}: penetration begins at a mean force P "
+            f"the onset η₀ {ends} is below 1 in {len(early)} of {len(judged)}: penetration begins at a mean force P "
             "below D, as the peaks of the force exceed its mean; the literal form has no rate there"
         )
-    weights, onsets, choices = [], [], []
-    force = float(fit.attrs.get("reference_force", np.nan))
+    weights, onsets, choices = {}, {}, {}
     for title, group in groups.items():
         founder = founder_of(group)
         if founder.is_known:
             fall, error = (_PER_HOUR * _PER_STEP * value for value in (founder.fall, founder.fall_stderr))
             above = f"falls by {fall:.3g} ± {error:.2g} m/h per 10 kN" if founder.falls else "does not rise"
             weight = f"{founder.weight / 1e3:.4g} ± {founder.weight_stderr / 1e3:.3g} kN"
-            weights.append(f"{title}: {weight}; above it the rate {above}")
-        if unknown and np.isfinite(group.loc["onset", "onset_force"]):
+            weights[title] = f"{weight}; above it the rate {above}"
+        if "onset_force" in group and np.isfinite(group.loc["onset", "onset_force"]):
             onset, error = group.loc["onset", ["onset_force", "onset_force_stderr"]] / 1e3
             slope = f"line C/D = {1e3 * group.loc['line', 'C'] / force:.4g} m/s per kN"
-            onsets.append(f"{title}: onset eta0 D = {onset:.4g} ± {error:.3g} kN; {slope}")
+            onsets[title] = f"onset η₀D = {onset:.4g} ± {error:.3g} kN; {slope}"
         if choice := recommended(fit, group):
             scales = [(choice, "m/s"), *([(choice["in_unit"], choice["unit"])] if "unit" in choice else [])]
             texts = [f"{x['C']:.4g} {unit} ({x['low']:.4g} to {x['high']:.4g})" for x, unit in scales]
-            choices.append(f"{title}: C = {' = '.join(texts)}, {choice['form']}")
+            choices[title] = f"C = {' = '.join(texts)}, {choice['form']}"
     lines += _listed("founder weight; the coefficients of every form are of the rows below it:", weights)
     rows = table_of(fit, "left_out_rows").items()
     lines += [f"left out, {reason}: {counted(about['rows'], 'row')} (line {about['lines']})" for reason, about in rows]
-    if unknown:
+    if np.isfinite(force):
         about = (
-            f"the threshold D is unknown, so that eta = P/{force / 1e3:.4g} kN, by the median of the mean force P. The "
-            "data determine C and eta0 D of onset, C/D and eta0 D of line, the exponent and C/D^exponent of power:"
+            f"the threshold D is unknown, so that η = P/{force / 1e3:.4g} kN, by the median of the mean force P. The "
+            "data determine C and η₀D of onset, C/D and η₀D of line, n and C/Dⁿ of power:"
         )
-        same = "  literal and percent have the curve of onset: D would be eta0 D, or 100 times as much"
+        same = "  literal and percent have the curve of onset: D would be η₀D, or 100 times as much"
         lines += [*_listed(about, onsets), same] if onsets else [about]
-    lines += [LIMITS_OF_LOGS] * is_log(fit)
     how = ", by blocks of rows), of the form that the data support, or else" if by_blocks else "),"
-    return lines + _listed(f"recommended C (95 % interval{how} of the likeliest reading of the log law:", choices)
+    title = f"recommended C (95 % interval{how} of the likeliest reading of the log law:"
+    return [*lines, *limits, *_listed(title, choices)]
 
 
-def _comparison(group: pd.DataFrame) -> str:
-    """Return the form that a group supports, or its rivals."""
-    standing = group["standing"]
+def _comparison(standing: pd.Series) -> str:
+    """Return the form that a group supports, or its rivals, by the standing of each form."""
     chosen, rivals = str(standing.eq("chosen").idxmax()), list(standing.index[standing == "undecided"])
     if rivals:
         return f"these data cannot tell {chosen} from {', '.join(rivals)}"
@@ -293,8 +298,6 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     keys: list[list[Key]] = [[], [dots(label=_USES[use][0], **looks[use] | {"size": 4.5}) for use in uses]]
     for name in map(str, fit[FORM].values):
         formula = FORMULAS[name]
-        for text, sign in {"eta0": "η₀", "eta": "η", " - ": " − ", "^exponent": "ⁿ"}.items():
-            formula = formula.replace(text, sign)
         if len(groups) == 1:
             of = fit.sel({FORM: name}).squeeze()
             against = float(f"{float(of['evidence_against']):.3g}")
