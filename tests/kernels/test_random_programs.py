@@ -22,7 +22,7 @@ from vibrojax.compile.native import Kernel, trace
 ROWS, LANES, PROGRAMS = 4, 16, 32
 TYPES = tuple(map(str, LLVM_TYPES))
 FLOATS, NUMBERS = ("float64", "float32"), tuple(name for name in TYPES if name != "bool")
-ROW_NUMBERS = [name for name in NUMBERS if "int" in name and name != "uint64"]
+WHOLE = NUMBERS[2:]
 
 
 @jax.custom_jvp
@@ -50,25 +50,26 @@ FUNCTIONS = {
 
 
 class Program:
-    """Instructions on values, drawn anew in each trace, but the same. `deck`: names, and types of the arguments."""
+    """Instructions on values: random, but the same in each trace. `deck`: their names, and types of the arguments."""
 
     def __init__(self, seed, values, deck):
         self.random, self.values, self.results = np.random.default_rng(seed), list(values), []
         self.lanes = max(x.shape[-1] for x in values if x.ndim)
         for name, dtype in deck:
-            with jax.numpy_dtype_promotion("standard"):
-                results = getattr(self, f"_{name}", lambda dtype, name=name: self._elementwise(name, dtype))(dtype)
-            results = [exact(x) if x.dtype.kind == "f" else x for x in jax.tree.leaves([*results] if isgenerator(results) else results)]
-            self.results += results
-            rows = [x.reshape(-1, self.lanes) if self.lanes in x.shape else x.ravel() for x in results if x.ndim]
-            self.values += [x[row] for x in rows for row in {0, len(x) - 1}]
-            self.values += [x for x in results if x.shape in ((), (ROWS, self.lanes))]
+            draw = getattr(self, f"_{name}", None)
+            drawn = self._elementwise(name, dtype) if draw is None else draw(dtype)
+            drawn = jax.tree.leaves(list(drawn) if isgenerator(drawn) else drawn)
+            drawn = [exact(x) if x.dtype.kind == "f" else x for x in drawn]
+            self.results += drawn
+            parts = [x.reshape(-1, self.lanes) if self.lanes in x.shape else x.ravel() for x in drawn if x.ndim]
+            self.values += [x[row] for x in parts for row in {0, len(x) - 1}]
+            self.values += [x for x in drawn if x.shape in ((), (ROWS, self.lanes))]
 
     def one_of(self, items):
         return items[self.random.integers(len(items))]
 
     def value(self, dtype, shape=None):
-        """Return a value, broadcast to a shape, by default that of rows."""
+        """Return one of the last values, broadcast to a shape, by default that of rows."""
         shape = (ROWS, self.lanes) if shape is None else shape
         x = self.one_of([x for x in self.values if x.dtype == dtype and x.ndim <= len(shape)][-6:])
         return jnp.broadcast_to(x, shape)
@@ -83,13 +84,13 @@ class Program:
     def numbers(self, shape, mode):
         """Return row numbers, some of which do not exist, unless the mode promises that they do."""
         x = lax.rem(self.value("int8", shape), jnp.int8(7))
-        x = abs(x) % ROWS if mode == "promise_in_bounds" else x
-        return x.astype(self.one_of(ROW_NUMBERS))
+        x = abs(x) % jnp.int8(ROWS) if mode == "promise_in_bounds" else x
+        return x.astype(self.one_of([name for name in WHOLE if name != "uint64"]))
 
     def body(self, turns=4, choices=None):
         """Return a random function of some values that returns as many of the same types."""
-        seed, names = int(self.random.integers(2**32)), choices or SIMPLE
-        deck = [self.one_of(names) for _ in range(turns)]
+        seed, choices = int(self.random.integers(2**32)), choices or SIMPLE
+        deck = [self.one_of(choices) for _ in range(turns)]
 
         def function(*carry):
             inner = Program(seed, [*self.values, *carry], deck)
@@ -110,18 +111,17 @@ class Program:
         return lax.pow(abs(x) + 0.125, self.one_of([y, n]))
 
     def _integer_pow(self, dtype):
-        [x] = self.like(dtype)
-        return lax.integer_pow(x, int(self.random.integers(-3 if dtype in FLOATS else 0, 5)))
+        return lax.integer_pow(*self.like(dtype), int(self.random.integers(-3 if dtype in FLOATS else 0, 5)))
 
     def _round(self, dtype):
         return [lax.round(*self.like(dtype), method) for method in lax.RoundingMethod]
 
     def _convert_element_type(self, dtype):
-        return [lax.convert_element_type(x, to) for [x] in [self.like(dtype)] for to in TYPES]
+        return [lax.convert_element_type(*self.like(dtype), to) for to in TYPES]
 
     def _bitcast_convert_type(self, dtype):
-        whole = [name for name in NUMBERS if "int" in name and np.dtype(name).itemsize == np.dtype(dtype).itemsize]
-        bits = [lax.bitcast_convert_type(*self.like(dtype), to) for to in (whole if dtype != "bool" else ["bool"])]
+        same = [name for name in WHOLE if np.dtype(name).itemsize == np.dtype(dtype).itemsize and dtype != "bool"]
+        bits = [lax.bitcast_convert_type(*self.like(dtype), to) for to in same or [dtype]]
         return bits, lax.bitcast_convert_type(bits[0], dtype)
 
     def _clamp(self, dtype):
@@ -133,43 +133,42 @@ class Program:
         return lax.select_n(flag, x, y), lax.select_n(self.value("bool", ()), x, y)
 
     def _reduce(self, dtype):
-        names = [name for name, of_two in rows.REDUCTIONS.items() if accepts(of_two, dtype)]
-        yield from (getattr(lax, name)(self.block(dtype), self.one_of([(0,), (1,)])) for name in names)
-        if dtype == "bool":
-            yield [reduce(self.block(dtype), axes) for reduce in (lax.reduce_or, lax.reduce_and) for axes in ((2,), (1, 2), (0, 1))]
+        for name, of_two in rows.REDUCTIONS.items():
+            if accepts(of_two, dtype):
+                yield getattr(lax, name)(self.block(dtype), self.one_of([(0,), (1,)]))
+            if dtype == "bool" and of_two in ("or", "and"):
+                yield [getattr(lax, name)(self.block(dtype), axes) for axes in ((2,), (1, 2), (0, 1))]
 
     def _gather(self, dtype):
         mode, fill = self.one_of(["clip", "fill", "promise_in_bounds"]), self.one_of([None, 2])
         options = {"mode": mode, "fill_value": fill if mode == "fill" else None}
         table = jnp.stack([self.value(dtype, ()) for _ in range(ROWS)])
-        by_lane = table.at[self.numbers((self.lanes,), mode)].get(**options)
-        count = self.one_of([1, ROWS])
-        return by_lane, jnp.take_along_axis(self.value(dtype), self.numbers((ROWS, self.lanes), mode)[:count], 0, **options)
+        yield table.at[self.numbers((self.lanes,), mode)].get(**options)
+        numbers = self.numbers((ROWS, self.lanes), mode)[: self.one_of([1, ROWS])]
+        yield jnp.take_along_axis(self.value(dtype), numbers, 0, **options)
 
     def _scatter(self, dtype):
-        mode = self.one_of(["clip", "drop", "promise_in_bounds"])
-        row = (self.lanes,)
+        mode, row = self.one_of(["clip", "drop", "promise_in_bounds"]), (self.lanes,)
         return put(self.value(dtype), self.numbers(row, mode), self.value(dtype, row), mode)
 
     def _sort(self, dtype):
         return lax.sort((self.value(dtype), self.value("uint8"), self.value(dtype)), dimension=0, num_keys=1)
 
     def _moves(self, dtype):
-        """Return results of all primitives that move elements."""
         x, y, block = self.value(dtype), self.value(dtype), self.block(dtype)
         begin, stride, axis = self.random.integers([0, 1, 0], [3, 4, 2])
         parts = lax.split(x, (begin + 1, ROWS - begin - 1), 0)
-        yield x[begin::stride], parts, jnp.concatenate(parts[::-1]), lax.concatenate([x, y], 0), jnp.unstack(block, axis=axis)
+        yield parts, x[begin::stride], lax.concatenate([x, y], 0), jnp.unstack(block, axis=axis)
         yield [lax.dynamic_slice_in_dim(x, int(start), 2) for start in self.random.integers(-7, 7, 2)]
-        yield lax.rev(block, self.one_of([(0,), (1,), (0, 1)])), block.transpose(1, 0, 2), lax.optimization_barrier((x, y))
-        yield x.reshape(2, -1, self.lanes), block.reshape(8, self.lanes), x[:, None].squeeze(1), x[None, 0]
+        yield lax.rev(block, self.one_of([(0,), (1,), (0, 1)])), block.transpose(1, 0, 2)
+        yield x.reshape(2, -1, self.lanes), x[:, None].squeeze(1), x[None, 0], lax.optimization_barrier((x, y))
         if dtype != "bool":
             yield lax.broadcasted_iota(dtype, (ROWS, self.lanes), 0), lax.iota(dtype, ROWS)
 
     def _while(self, dtype):
-        count, body = abs(self.value("int8", (self.lanes,))) % 4, self.body()
-        turn = lambda now: (now[0] - 1, body(*now[1]))  # noqa: E731
-        return lax.while_loop(lambda now: jnp.any(now[0] > 0), turn, (count, self.carry(dtype)))
+        count, body = abs(self.value("int8", (self.lanes,))) % jnp.int8(4), self.body()
+        begin = count, self.carry(dtype)
+        return lax.while_loop(lambda now: jnp.any(now[0] > 0), lambda now: (now[0] - 1, body(*now[1])), begin)
 
     def _scan(self, dtype):
         body = self.body()
@@ -177,97 +176,83 @@ class Program:
 
     def _cond(self, dtype):
         bodies, carry = (self.body(), self.body()), self.carry(dtype)
-        flag, number = self.one_of([self.value("bool", ()), jnp.any(self.value("bool"))]), self.value("int32", ())
-        return lax.cond(flag, *bodies, *carry), lax.switch(number, bodies, *carry)
+        flag = self.one_of([self.value("bool", ()), jnp.any(self.value("bool"))])
+        return lax.cond(flag, *bodies, *carry), lax.switch(self.value("int32", ()), bodies, *carry)
 
     def _jit(self, dtype):
         return jax.jit(self.body())(*self.carry(dtype))
 
     def _jvp(self, dtype):
-        x, slopes = self.like(dtype, dtype), self.like(dtype, dtype)
-        x, slopes = ([self.value(dtype), self.value(dtype)] for _ in range(2))
-        return jax.jvp(self.body(6, DERIVED), x, slopes)
+        values, slopes = ([self.value(dtype), self.value(dtype)] for _ in range(2))
+        return jax.jvp(self.body(6, DERIVED), values, slopes)
 
 
 def accepts(name, dtype):
-    rule = elementwise.RULES.get(name)
-    return rule is None or np.dtype(dtype).kind in rule.kinds
+    return np.dtype(dtype).kind in elementwise.RULES[name].kinds
 
 
-OTHERS = {"clamp": NUMBERS, "select_n": TYPES, "gather": NUMBERS, "scatter": NUMBERS, "sort": TYPES, "reduce": TYPES}
+OF_NUMBERS, OF_ALL = ("clamp", "gather", "scatter"), ("select_n", "sort", "reduce")
 SIMPLE = [(name, dtype) for name in elementwise.RULES for dtype in TYPES if accepts(name, dtype)]
-SIMPLE += [(name, dtype) for name, dtypes in OTHERS.items() for dtype in dtypes]
+SIMPLE += [(name, dtype) for name in OF_ALL for dtype in TYPES] + [(name, x) for name in OF_NUMBERS for x in NUMBERS]
 DERIVED = [(name, dtype) for name, dtype in SIMPLE if dtype in FLOATS]
-MOVES = [("moves", dtype) for dtype in TYPES]
-CONTROL = [(name, dtype) for name in ("while", "scan", "cond", "jit") for dtype in TYPES]
-DECK = np.random.default_rng(1).permutation(
-    [*SIMPLE, *MOVES, *CONTROL, *[(name, dtype) for name in ("jvp", "custom_vjp_call") for dtype in FLOATS]]
-)
+CONTROL = [(name, dtype) for name in ("moves", "while", "scan", "cond", "jit") for dtype in TYPES]
+CONTROL += [(name, dtype) for name in ("jvp", "custom_vjp_call") for dtype in FLOATS]
+DECK = np.random.default_rng(1).permutation(SIMPLE + CONTROL).tolist()
 
 
-def function_of(number):
-    deck = [(str(name), str(dtype)) for name, dtype in DECK[number::PROGRAMS]]
+def program(number):
+    """Return a function, whose results include those of a scan along its last arguments, and its arguments."""
+    random = np.random.default_rng(number)
+
+    def some(dtype, shape):
+        if dtype == "bool":
+            return random.random(shape) < 0.5
+        limits = [np.nan, np.inf] if dtype in FLOATS else [np.iinfo(dtype).min, np.iinfo(dtype).max]
+        x = random.integers(-32, 33, shape) / 8 if dtype in FLOATS else random.integers(-4 * (limits[0] < 0), 6, shape)
+        return np.where(random.random(shape) < 0.05, random.choice(np.array(limits, dtype), shape), x.astype(dtype))
 
     def function(arguments, along):
-        program = Program(number, jax.tree.leaves(arguments), deck)
-        body = program.body(3)
+        drawn = Program(number, arguments, DECK[number::PROGRAMS])
+        body = drawn.body(3)
 
         def turn(carry, row):
             results = body(*row, *carry)
             return results[2:], [x + x for x in results[:2]]
 
-        return program.results, lax.scan(turn, program.carry("float64"), along, reverse=bool(number % 2))
+        return drawn.results, lax.scan(turn, drawn.carry("float64"), along, reverse=bool(number % 2))
 
-    return function
-
-
-def arguments_of(number):
-    """Return rows and numbers of each type, and the rows of a scan, with NaN, infinity and the greatest integers."""
-    random = np.random.default_rng(number)
-
-    def some(dtype, shape):
-        if dtype in FLOATS:
-            x = random.integers(-32, 33, shape) / 8
-            return np.where(random.random(shape) < 0.03, random.choice([np.nan, np.inf, -np.inf], shape), x).astype(dtype)
-        if dtype == "bool":
-            return random.random(shape) < 0.5
-        x, limits = random.integers(0, 9, shape), np.iinfo(dtype)
-        x = (x - 4 * (limits.min < 0)).astype(dtype)
-        ends = random.choice(np.array([limits.min, limits.max], dtype), shape)
-        return np.where(random.random(shape) < 0.1, ends, x)
-
-    shapes = (ROWS, LANES), ()
-    return [[some(dtype, shape) for dtype in TYPES for shape in shapes], [some(x, (number % 5, LANES)) for x in ("float64", "int8")]]
+    arguments = [some(dtype, shape) for dtype in TYPES for shape in ((ROWS, LANES), ())]
+    return function, (arguments, [some(dtype, (number % 5, LANES)) for dtype in ("float64", "int8")])
 
 
 @pytest.mark.parametrize("number", range(PROGRAMS))
 def test_random_programs_have_bits_of_xla(number):
-    function, arguments = function_of(number), arguments_of(number)
+    """Each of two groups of lanes has all lanes, because loops and branches look at those of a group."""
+    function, arguments = program(number)
     with jax.debug_nans(False):
         expected = jax.jit(function)(*arguments)
     twice = jax.tree.map(lambda x: np.concatenate([x, x], -1) if x.ndim else x, arguments)
     results = Kernel(function, *twice, registers=8 * LANES // native.vector_bytes())(*twice)
     for result, correct in zip(jax.tree.leaves(results), jax.tree.leaves(expected), strict=True):
-        whole = correct if result.shape == correct.shape else np.concatenate([correct, correct], -1)
+        correct = correct if result.shape == correct.shape else np.concatenate([correct, correct], -1)
         assert result.dtype == correct.dtype
-        np.testing.assert_array_equal(result, whole)
+        np.testing.assert_array_equal(result, correct)
 
 
-def jaxprs(values):
-    for value in values:
-        yield from jaxprs(value) if isinstance(value, tuple) else [value.jaxpr] if hasattr(value, "jaxpr") else []
-
-
-def names_in(jaxpr):
-    """Yield the primitives of a trace and of the functions that it calls, with the type of the first argument."""
-    for equation in jaxpr.eqns:
-        inner = jaxprs(equation.params.values())
-        yield equation.primitive.name, str((*equation.invars, *equation.outvars)[0].aval.dtype)
-        for function in inner:
-            yield from names_in(function)
+def names_in(x):
+    """Yield the primitives in a trace or in parameters of an equation, with the type of the first (chosen) argument."""
+    for equation in getattr(x, "eqns", ()):
+        first = [*equation.invars, *equation.outvars][equation.primitive.name == "select_n"]
+        yield equation.primitive.name, str(first.aval.dtype)
+        yield from names_in(tuple(equation.params.values()))
+    for part in x if isinstance(x, tuple) else (x.jaxpr,) if hasattr(x, "jaxpr") else ():
+        yield from names_in(part)
 
 
 def test_every_primitive_is_drawn():
-    drawn = {x for number in range(PROGRAMS) for x in names_in(trace(function_of(number), *arguments_of(number)).jaxpr.jaxpr)}
+    traces = [trace(function, *arguments) for function, arguments in map(program, range(PROGRAMS))]
+    drawn = {pair for traced in traces for pair in names_in(traced.jaxpr)}
     assert {name for name, _ in drawn} == translation.primitives()
-    assert {(name, dtype) for name in elementwise.RULES for dtype in TYPES if accepts(name, dtype)} <= drawn
+    of_rows = [(name, dtype) for name, of_two in rows.REDUCTIONS.items() for dtype in TYPES if accepts(of_two, dtype)]
+    missing = {*SIMPLE, *of_rows} - drawn
+    assert {name for name, _ in missing} == {"reduce"}
