@@ -40,8 +40,8 @@ def assert_matches_xla(function, *arguments, roundings=4):
 def limit_pairs(dtype):
     """Return pairs of the least, the greatest and some numbers in between."""
     limits = np.iinfo(dtype)
-    numbers = np.array([limits.min, limits.min + 1, 0, 1, 2, 7, limits.max // 2 + 1, limits.max - 1, limits.max], dtype)
-    return tuple(grid.ravel() for grid in np.meshgrid(numbers, numbers))
+    numbers = [limits.min, limits.min + 1, -int(limits.min < 0), 0, 1, 2, 7, limits.max // 2 + 1, limits.max]
+    return tuple(grid.ravel() for grid in np.meshgrid(np.array(numbers, dtype), np.array(numbers, dtype)))
 
 
 @pytest.mark.parametrize("dtype", FLOATS)

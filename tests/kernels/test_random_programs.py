@@ -99,7 +99,8 @@ class Program:
         return function
 
     def carry(self, dtype):
-        return self.value(dtype), self.value(dtype), *self.like(self.one_of(TYPES))
+        """Return values for a loop, which keeps many in memory and few in registers."""
+        return *(self.value(dtype) for _ in range(self.one_of([1, 7]))), *self.like(self.one_of(TYPES))
 
     def _elementwise(self, name, dtype):
         function = FUNCTIONS.get(name) or getattr(lax, name)
@@ -114,7 +115,7 @@ class Program:
         return lax.integer_pow(*self.like(dtype), int(self.random.integers(-3 if dtype in FLOATS else 0, 5)))
 
     def _round(self, dtype):
-        return [lax.round(*self.like(dtype), method) for method in lax.RoundingMethod]
+        return [lax.round(self.value(dtype), method) for method in lax.RoundingMethod]
 
     def _convert_element_type(self, dtype):
         return [lax.convert_element_type(*self.like(dtype), to) for to in TYPES]
@@ -140,16 +141,18 @@ class Program:
                 yield [getattr(lax, name)(self.block(dtype), axes) for axes in ((2,), (1, 2), (0, 1))]
 
     def _gather(self, dtype):
-        mode, fill = self.one_of(["clip", "fill", "promise_in_bounds"]), self.one_of([None, 2])
-        options = {"mode": mode, "fill_value": fill if mode == "fill" else None}
         table = jnp.stack([self.value(dtype, ()) for _ in range(ROWS)])
-        yield table.at[self.numbers((self.lanes,), mode)].get(**options)
-        numbers = self.numbers((ROWS, self.lanes), mode)[: self.one_of([1, ROWS])]
-        yield jnp.take_along_axis(self.value(dtype), numbers, 0, **options)
+        for mode, fill in (("clip", None), ("fill", None), ("fill", 2), ("promise_in_bounds", None)):
+            yield table.at[self.numbers((self.lanes,), mode)].get(mode=mode, fill_value=fill)
+            numbers = self.numbers((ROWS, self.lanes), mode)[: self.one_of([1, ROWS])]
+            yield jnp.take_along_axis(self.value(dtype), numbers, 0, mode=mode, fill_value=fill)
 
     def _scatter(self, dtype):
-        mode, row = self.one_of(["clip", "drop", "promise_in_bounds"]), (self.lanes,)
-        return put(self.value(dtype), self.numbers(row, mode), self.value(dtype, row), mode)
+        row, x = (self.lanes,), self.value(dtype)
+        for mode in ("clip", "drop", "promise_in_bounds"):
+            after = [put(x, self.numbers(row, mode), self.value(dtype, row), mode) for _ in range(2)]
+            yield after
+            x = after[0]
 
     def _sort(self, dtype):
         return lax.sort((self.value(dtype), self.value("uint8"), self.value(dtype)), dimension=0, num_keys=1)
