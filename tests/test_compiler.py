@@ -76,7 +76,10 @@ SCENES = [
     "scene", [SCENES[0], *(pytest.param(x, marks=pytest.mark.long) for x in SCENES[1:])], ids=lambda x: x.name
 )
 def test_steps_of_scenes_and_laws_agree_with_xla(scene):
-    """Six steps of eight lanes, whose instructions XLA compiles one by one."""
+    """Six steps of eight lanes, whose instructions XLA compiles one by one.
+
+    The law popp-arctan amplifies a change by 4e-16 of the parameters to 2.5e-9 of the velocity.
+    """
     kind, lanes = ProgramKey(scene, vj.Located(), recorder_for(scene)), np.arange(8)
     parameters = {name: x.default * (1 + 0.02 * lanes) for name, x in scene.parameters().items()}
     given = LaneArguments(parameters, (lanes % max(len(scene.starts), 1)).astype(np.int32))
@@ -89,7 +92,8 @@ def test_steps_of_scenes_and_laws_agree_with_xla(scene):
         expected = settle_lanes(kind, *jax.tree.map(jnp.asarray, arguments))
     assert (results.steps == 6).all()
     for result, correct in zip(jax.tree.leaves(results), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(result, correct, rtol=1e-10, atol=1e-11)
+        size = np.max(np.abs(correct), initial=0, where=np.isfinite(correct))
+        np.testing.assert_allclose(result, correct, rtol=1e-8, atol=1e-12 + 1e-8 * size)
 
 
 class WithoutKernel(vj.SCENES["penetration"]):

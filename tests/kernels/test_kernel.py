@@ -12,16 +12,9 @@ from vibrojax.compile.native import Kernel
 
 RANDOM = np.random.default_rng(20)
 X, Y = RANDOM.normal(size=(2, 21))
-ROWS = RANDOM.normal(size=(7, 21))
-WHICH = RANDOM.integers(-2, 9, 21)
 FLOATS = ["float64", "float32"]
 INTEGERS = ["int8", "int64", "uint16", "uint32", "uint64"]
 BEYOND = [np.nan, np.inf, -np.inf, 1e30, -1e30, 300.0, -300.0, -0.5, 2.0**31, 2.0**63, -(2.0**63), 2.0**64, 255.7]
-
-
-def put(rows, numbers, new, mode):
-    """Return rows in which each lane has replaced one."""
-    return jax.vmap(lambda rows, number, new: rows.at[number].set(new, mode=mode), -1, -1)(rows, numbers, new)
 
 
 def run_kernel(function, *arguments, **options):
@@ -72,22 +65,6 @@ def test_integers(dtype):
     assert_matches_xla(lambda x, y: list(function(x, y)), x, y)
 
 
-ROW_NUMBERS = {
-    "usual": lambda x, which: jnp.take_along_axis(x, which, 0),
-    "fill": lambda x, which: jnp.take_along_axis(x, which, 0, mode="fill"),
-    "fill value": lambda x, which: jnp.take_along_axis(x, which, 0, mode="fill", fill_value=5),
-    "table": lambda x, which: jnp.take(jnp.arange(3, dtype=x.dtype), which[0], mode="fill"),
-    "put": lambda x, which: [put(x, which[0], x[1], mode) for mode in ("drop", "clip")],
-}
-
-
-@pytest.mark.parametrize("dtype", [*INTEGERS, *FLOATS])
-def test_missing_rows(dtype):
-    """Missing rows have the fill value, or jax's own: NaN, the least or the greatest integer."""
-    rows, which = (ROWS * 10).astype(dtype), np.stack([WHICH, WHICH[::-1] * 3])
-    assert_matches_xla(lambda rows, which: {name: take(rows, which) for name, take in ROW_NUMBERS.items()}, rows, which)
-
-
 @pytest.mark.parametrize("given", [*FLOATS, *INTEGERS])
 def test_conversions(given):
     """A float becomes the nearest integer of the type, and NaN becomes 0."""
@@ -124,24 +101,6 @@ def test_subnormal_numbers_are_kept():
         np.testing.assert_array_equal(result, correct)
 
 
-def test_rows_are_replaced_in_a_loop(width):
-    """Rows are replaced in place, unless something else needs them."""
-
-    def unshared(rows, which, new):
-        return lax.fori_loop(0, 30, lambda k, rows: put(rows, (which + k) % 7, new + 1.0 * k, "drop"), rows)
-
-    def shared(rows, which, new):
-        def turn(k, carried):
-            rows, total = carried
-            after = put(rows, (which + k) % 7, new + 1.0 * k, "drop")
-            return after, total + rows[0] + after[0]
-
-        return lax.fori_loop(0, 30, turn, (rows, new))
-
-    assert_matches_xla(unshared, ROWS, np.abs(WHICH), X)
-    assert_matches_xla(shared, ROWS, np.abs(WHICH), X)
-
-
 def collatz(n):
     """Return how many steps each number takes to 1; every lane continues until the last is done."""
 
@@ -152,21 +111,6 @@ def collatz(n):
         return jnp.where(moving, after, n), jnp.where(moving, steps + 1, steps)
 
     return lax.while_loop(lambda now: jnp.any(now[0] != 1), turn, (n, jnp.zeros_like(n)))[1]
-
-
-def test_loops_with_large_carry():
-    """The loop carries more than registers hold, exchanges values, and contains a loop."""
-
-    def function(rows, x):
-        def turn(k, now):
-            rows, x = now
-            a, b = lax.fori_loop(0, 3, lambda k, now: (now[1], now[0] + 0.5 * now[1]), (rows, rows[::-1]))
-            return jnp.concatenate([b[1:], a[:1]]) * 0.3, x + a.sum(0)
-
-        rows = jnp.concatenate([rows, 2 * rows, rows - 1, rows + 1, rows * rows])
-        return lax.fori_loop(0, 5, turn, (rows, x))
-
-    assert_matches_xla(function, ROWS, X, roundings=100)
 
 
 @pytest.mark.parametrize("lanes", [1, 33])

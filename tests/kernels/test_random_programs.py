@@ -14,7 +14,6 @@ import pytest
 from jax import lax
 from jax.interpreters import ad
 
-from tests.kernels.test_kernel import put
 from vibrojax.compile import elementwise, native, rows, translation
 from vibrojax.compile.assembly import LLVM_TYPES
 from vibrojax.compile.native import Kernel, trace
@@ -49,6 +48,11 @@ FUNCTIONS = {
 }
 
 
+def put(rows, numbers, new, mode):
+    """Return rows in which each lane has replaced one."""
+    return jax.vmap(lambda rows, number, new: rows.at[number].set(new, mode=mode), -1, -1)(rows, numbers, new)
+
+
 class Program:
     """Instructions on values: random, but the same in each trace. `deck`: their names, and types of the arguments."""
 
@@ -69,10 +73,10 @@ class Program:
         return items[self.random.integers(len(items))]
 
     def value(self, dtype, shape=None):
-        """Return one of the last values, broadcast to a shape, by default that of rows."""
+        """Return one of the first or the last values, broadcast to a shape, by default that of rows."""
         shape = (ROWS, self.lanes) if shape is None else shape
-        x = self.one_of([x for x in self.values if x.dtype == dtype and x.ndim <= len(shape)][-6:])
-        return jnp.broadcast_to(x, shape)
+        usable = [x for x in self.values if x.dtype == dtype and x.ndim <= len(shape)]
+        return jnp.broadcast_to(self.one_of([*usable[:2], *usable[-4:]]), shape)
 
     def like(self, *dtypes):
         shape = self.one_of([(), (self.lanes,), (ROWS, self.lanes)])
