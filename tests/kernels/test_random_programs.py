@@ -73,10 +73,11 @@ class Program:
         return items[self.random.integers(len(items))]
 
     def value(self, dtype, shape=None):
-        """Return one of the first or the last values, broadcast to a shape, by default that of rows."""
+        """Return an argument or one of the last values, with a shape, by default that of rows."""
         shape = (ROWS, self.lanes) if shape is None else shape
-        usable = [x for x in self.values if x.dtype == dtype and x.ndim <= len(shape)]
-        return jnp.broadcast_to(self.one_of([*usable[:2], *usable[-4:]]), shape)
+        usable = [x for x in self.values if x.dtype == dtype and (shape or not x.ndim)]
+        x = self.one_of([usable[0], usable[0], *usable[-4:]])
+        return jnp.broadcast_to(x[self.random.integers(ROWS)] if x.ndim > len(shape) else x, shape)
 
     def like(self, *dtypes):
         shape = self.one_of([(), (self.lanes,), (ROWS, self.lanes)])
