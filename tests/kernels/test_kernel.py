@@ -8,7 +8,7 @@ from jax import lax
 
 from vibrojax.compile import translation
 from vibrojax.compile.assembly import Untranslatable
-from vibrojax.compile.native import Kernel
+from vibrojax.compile.native import Kernel, kernel_for
 
 RANDOM = np.random.default_rng(20)
 X, Y = RANDOM.normal(size=(2, 21))
@@ -159,6 +159,20 @@ REFUSED = {
 def test_refusals(name):
     with pytest.raises(Untranslatable, match=r"\w"):
         Kernel(REFUSED[name], X)
+
+
+def test_refused_function_is_traced_once():
+    """Each later call runs on XLA at once."""
+    traced = []
+
+    def function(x):
+        traced.append(x)
+        return x[::2]
+
+    for _ in range(2):
+        with pytest.raises(Untranslatable, match="some of the lanes"):
+            kernel_for(function, (), X)
+    assert len(traced) == 1
 
 
 def test_unknown_parameters():

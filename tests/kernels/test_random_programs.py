@@ -120,7 +120,7 @@ class Program:
         return lax.integer_pow(*self.like(dtype), int(self.random.integers(-3 if dtype in FLOATS else 0, 5)))
 
     def _round(self, dtype):
-        return [lax.round(self.value(dtype), method) for method in lax.RoundingMethod]
+        return [lax.round(self.values[2 * TYPES.index(dtype)], method) for method in lax.RoundingMethod]  # has halves
 
     def _convert_element_type(self, dtype):
         return [lax.convert_element_type(*self.like(dtype), to) for to in TYPES]
