@@ -45,7 +45,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # they are written, so that checks would take two minutes.
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 UNCHECKED = re.compile(
-    r"(compile/(?!agreement|trust|xla)|maps/(run|read|joining|bounds|starts|rerun)|settings/(toml|values|code_identity)"
+    r"(compile/(?!agreement|xla)|maps/(run|read|joining|bounds|starts|rerun)|settings/(toml|values|code_identity)"
     r"|studies/((accuracy|attractors|borders|curves|family|trajectory)\.|catalogue)).*"
 )
 CHECKED = [
@@ -57,7 +57,7 @@ load_in_threads()
 install_import_hook(CHECKED, "beartype.beartype")
 jaxtyping.jaxtyped = checked  # the import hook writes this decorator into the modules
 
-from vibrojax.compile import identity, native, trust  # noqa: E402
+from vibrojax.compile import identity, native  # noqa: E402
 
 visit = identity._Walk.visit
 
@@ -75,7 +75,7 @@ visit_unchecked.__module__ = identity.__name__  # otherwise, the package counts 
 identity._Walk.visit = visit_unchecked
 
 LONGEST = re.compile(
-    r"test_(plots|systems_events|explore_page|trust|sensitivity|datasets_on_disk|systems|sealed_datasets|explore_served"
+    r"test_(plots|systems_events|explore_page|sensitivity|datasets_on_disk|systems|sealed_datasets|explore_served"
     r"|design|orbits|follow_cli|follow_rigid|finished_results|workers|workers_slurm)\.py"
 )
 """Slowest files. They start first, so that no process is left alone with one of them at the end."""
@@ -95,26 +95,11 @@ def pytest_configure(config):
         native.vector_bytes = lambda: width
 
 
-COMPARED = ("test_trust.py", "test_own_objects.py", "test_random_systems.py")
-"""Files whose own systems, scenes and laws are compared with XLA before kernels run them, as those of users are."""
-
-OPTIMIZED = ("test_trust.py", "test_hard_faults.py")
-"""Files whose kernels are compiled with optimization. Those of the second are also the ones of processes."""
-
-is_foreign = trust.is_foreign
-
-
-def is_never_foreign(code):
-    return False
-
-
-is_never_foreign.__module__ = trust.__name__
+OPTIMIZED = ("test_hard_faults.py",)
+"""Files whose kernels are compiled with optimization, as those of the processes that they start."""
 
 
 def pytest_runtest_setup(item):
-    """Trust kernels of the tests' own code elsewhere: a comparison takes half of the time of a test of a system."""
-    compared = item.path.name in COMPARED or item.get_closest_marker("compared")
-    trust.is_foreign = is_foreign if compared else is_never_foreign
     of_kernels = item.path.name in OPTIMIZED or item.path.parent.name == "kernels"
     native.CODE_LEVEL = 2 if of_kernels else item.config.getoption("--code-level")
 

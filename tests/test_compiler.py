@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,10 +14,16 @@ import pytest
 import vibrojax
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.compile import agreement, xla
+from vibrojax.compile import agreement, native, xla
 from vibrojax.compile.agreement import check
 from vibrojax.lanes import compiler
 from vibrojax.lanes.compiler import EQUATION_FUNCTIONS
+from vibrojax.lanes.programs import LaneArguments, ProgramKey, settle_lanes, start_lanes
+from vibrojax.measures import recorder_for
+from vibrojax.measures.recorder import Effort, LaneState
+from vibrojax.physics.friction import FRICTION_LAWS
+from vibrojax.scenes.penetration import PULSE_SHAPES
+from vibrojax.stepping import Accuracy, AccuracyRequest
 
 TOML = 'scene = "rotary"\n[grid]\nbeta = [0.4]\n[run]\nsettle = 1.0\nobserve = 1.0\n'
 
@@ -56,6 +63,37 @@ def test_sweep_is_refused_in_one_line(monkeypatch, tmp_path, capsys):
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1 and "computes arctan wrongly" in printed
     assert "install another version of llvmlite" in printed and not (tmp_path / "out.nc").exists()
+
+
+SCENES = [
+    *(vj.SCENES[name]() for name in vj.SCENES),
+    *(vj.SCENES["vibro-impact"](friction=law) for law in FRICTION_LAWS.values()),
+    *(vj.SCENES["penetration"](pulse_shape=shape) for shape in PULSE_SHAPES[1:]),
+]
+
+
+@pytest.mark.parametrize(
+    "scene", [SCENES[0], *(pytest.param(x, marks=pytest.mark.long) for x in SCENES[1:])], ids=lambda x: x.name
+)
+def test_steps_of_scenes_and_laws_agree_with_xla(scene):
+    """Six steps of eight lanes, whose instructions XLA compiles one by one.
+
+    The law popp-arctan amplifies a change by 4e-16 of the parameters to 2.5e-9 of the velocity.
+    """
+    kind, lanes = ProgramKey(scene, vj.Located(), recorder_for(scene)), np.arange(8)
+    parameters = {name: x.default * (1 + 0.02 * lanes) for name, x in scene.parameters().items()}
+    given = LaneArguments(parameters, (lanes % max(len(scene.starts), 1)).astype(np.int32))
+    accuracy = map(np.float64, kind.stepper.accuracy(AccuracyRequest(precision="float64"), scene))
+    lane, carry = native.kernel_for(start_lanes, (kind,), given)(given)
+    underway, effort = LaneState(lane, carry, np.zeros(8, np.int32)), Effort(Accuracy(*accuracy), np.int32(6))
+    arguments = given, underway, np.full(8, 100.0), effort
+    results = native.kernel_for(settle_lanes, (kind,), *arguments)(*arguments)
+    with jax.disable_jit(), jax.debug_nans(False):
+        expected = settle_lanes(kind, *jax.tree.map(jnp.asarray, arguments))
+    assert (results.steps == 6).all()
+    for result, correct in zip(jax.tree.leaves(results), jax.tree.leaves(expected), strict=True):
+        size = np.max(np.abs(correct), initial=0, where=np.isfinite(correct))
+        np.testing.assert_allclose(result, correct, rtol=1e-8, atol=1e-12 + 1e-8 * size)
 
 
 class WithoutKernel(vj.SCENES["penetration"]):

@@ -44,7 +44,7 @@ def no_kernel(*given: Any, **options: Any) -> Any:
 
 def patches_for_xla(options: dict[str, Any], block: int = compiler.XLA_BLOCK) -> list[Any]:
     return [
-        patch.object(compiler, "trusted_kernel", no_kernel),
+        patch.object(compiler, "kernel_for", no_kernel),
         patch.object(xla, "compiler_options", lambda platform: options),
         patch.object(compiler, "compiler_options", lambda platform: options),
         patch.object(compiler, "XLA_BLOCK", block),

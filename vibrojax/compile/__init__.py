@@ -1,25 +1,18 @@
 """Compilation of functions of lanes to native kernels.
 
-A lane is one independent trajectory of a batch. [vibrojax.compile.trust.lane_function][] decorates a function whose
-arguments and results are pytrees of arrays with the lanes along the last axis. The decorated function runs as a native
-kernel on CPUs, or through XLA where no kernel can be made:
-
-    @lane_function(static=1, policy=policy)
-    def settle(scene, state, until): ...
-
-[vibrojax.compile.trust.trusted_kernel][] returns the kernel itself, without the fallback to XLA. This folder does not
-depend on scenes. The caller's `policy` decides which calls depend on foreign code (code from outside this package). If
-its instructions are not covered by the tests, it is compared with XLA before the first of its kernels runs.
+A lane is one independent trajectory of a batch. [vibrojax.compile.native.kernel_for][] compiles a function whose
+arguments and results are pytrees of arrays with the lanes along the last axis to a native kernel for CPUs. Where no
+kernel can be made, XLA compiles the function ([vibrojax.lanes.compiler.lane_function][]).
 
 - `translation.py`, `assembly.py`, `native.py` and others: translation of jax's trace to LLVM's intermediate
   representation (IR), compilation; `cache.py`: the disk cache; `identity.py`: what decides a trace.
 - `trees.py`: arguments and results as pytrees, without jax.
 - `xla.py`: XLA's options, functions that run block by block, devices, threads, precision.
-- `agreement.py`, `trust.py`: comparison of a kernel with XLA and of elementary functions with numpy; the decision which
-  compiler runs.
+- `agreement.py`: comparison of compiled elementary functions with numpy.
 
-A kernel has the semantics of jax. Each translation rule is correct for the types that it accepts. All other cases raise
-`Untranslatable`, and XLA runs the lanes. Three things differ from XLA on a CPU:
+A kernel has the semantics of jax. Each translation rule is correct for the types and parameters that it accepts: the
+tests compare random programs of all rules with XLA, bit for bit. All other cases, such as parameters of a later jax,
+raise `Untranslatable`, and XLA runs the lanes. Three things differ from XLA on a CPU:
 
 - Subnormal numbers keep their value (XLA flushes them to 0).
 - Functions of the C library, such as `exp`, are rounded differently.

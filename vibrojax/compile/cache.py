@@ -1,4 +1,4 @@
-"""Disk cache, in the user's cache folder, of compiled kernels and of the results of their comparison with XLA.
+"""Disk cache of compiled kernels and their descriptions, in the user's cache folder.
 
 A cached kernel is machine code that this process runs. Whoever can write the file can thus run code with the rights of
 the user. There are two safeguards:

@@ -239,11 +239,10 @@ def _integer_power(op: Application) -> str:
 
 def _reinterpret(op: Application) -> str:
     """Emit a reinterpretation of the bits of a number as another type."""
-    if op.gives == op.dtype:
-        return op.x[0]
-    unlike = op.gives.itemsize != op.dtype.itemsize or op.gives == BOOL
-    refuse_if(unlike, f"the bits of {op.dtype} as {op.gives}")
-    return op.cast("bitcast")
+    unlike = op.gives.itemsize != op.dtype.itemsize or BOOL in (op.gives, op.dtype)
+    refuse_if(unlike and op.gives != op.dtype, f"the bits of {op.dtype} as {op.gives}")
+    # After a conversion of a type to itself, LLVM 22 omits a store.
+    return op.x[0] if element(op.gives) == element(op.dtype) else op.cast("bitcast")
 
 
 def _convert(op: Application) -> str:

@@ -96,20 +96,6 @@ def digest(*roots: object) -> str | None:
 
 
 @cache
-def is_foreign(code: object) -> bool:
-    """Return whether an object is, or contains, code that this package and the libraries in `KNOWN` do not have.
-
-    A `vj.FrictionLaw`, for example, belongs to the package but holds functions that its user wrote.
-    """
-    walk = _Walk()
-    try:
-        walk.visit(code)
-    except (Unidentified, RecursionError):
-        return True
-    return walk.is_foreign
-
-
-@cache
 def _versions() -> str | None:
     """Return the versions of all that traces and translates; None if this package may have changed since it began."""
     root, files = Path(__file__).parents[1], sha256()
@@ -144,14 +130,13 @@ def _is_users(module: str | None) -> bool:
 
 
 class _Walk:
-    """A walk over objects that collects `parts`, texts that identify them, and notes whether it has met foreign code.
+    """A walk over objects that collects `parts`, texts that identify them.
 
     **Raises:** `Unidentified`.
     """
 
     def __init__(self) -> None:
         self.parts: list[str] = []
-        self.is_foreign = False
         self._seen: dict[int, tuple[int, object]] = {}  # the objects are kept, so that no other gets their id
 
     def visit(self, x: Any) -> None:
@@ -252,7 +237,6 @@ class _Walk:
             self.visit(part)
         if own:
             return  # the content of the package's files decides about its globals
-        self.is_foreign = True
         names = sorted(_names(function.__code__))
         for name in names:
             if name in function.__globals__:
@@ -283,7 +267,6 @@ class _Walk:
             self.parts.append(f"class {name or base.__qualname__}")
             if name:
                 continue
-            self.is_foreign = True
             if _top(type(base).__module__) not in KNOWN or not base.__flags__ & _HEAP_TYPE:
                 raise Unidentified(f"the class {base.__qualname__}")
             for key, value in vars(base).items():

@@ -24,7 +24,7 @@ from jaxtyping import Int
 from vibrojax.compile import cache as store
 from vibrojax.compile.assembly import LANES, Untranslatable, dtype_of, refuse_if, varies
 from vibrojax.compile.identity import digest
-from vibrojax.compile.translation import KernelText, kernel_text, needs_comparison
+from vibrojax.compile.translation import KernelText, kernel_text
 from vibrojax.compile.trees import flatten, unflatten
 from vibrojax.compile.xla import float_type
 from vibrojax.lazy import jax, jnp
@@ -115,7 +115,6 @@ class Description(NamedTuple):
     - `key`: hash of the IR text, the processor and the version of llvmlite, under which the object code is cached.
     - `arguments`, `results`: types of the leaves; `tree`: the results, with their numbers as leaves.
     - `width`: number of lanes of a group; `text`: memory of the workspace, and the IR text if the kernel was traced.
-    - `compared`: whether foreign code has instructions for which only a comparison with XLA can vouch.
     """
 
     key: str
@@ -124,7 +123,6 @@ class Description(NamedTuple):
     tree: Any
     width: int
     text: KernelText
-    compared: bool
 
 
 class Kernel:
@@ -275,7 +273,7 @@ def _described(function: Callable[..., Any], *examples: Any, registers: int, lev
     text = kernel_text(traced.jaxpr, width)
     key = sha256("\n".join((*_compiler(level), text.text)).encode()).hexdigest()
     tree = jax.tree.unflatten(structure, range(structure.num_leaves))
-    return Description(key, arguments, results, tree, width, text, needs_comparison(inner))
+    return Description(key, arguments, results, tree, width, text)
 
 
 def _level(level: int | None) -> int:
@@ -297,8 +295,8 @@ def trace(function: Callable[..., Any], *examples: Any) -> Any:
     return jax.jit(function).trace(*jax.tree.map(with_lanes, examples))
 
 
-kernels: dict[Hashable, Kernel] = {}
-"""All kernels of this process."""
+kernels: dict[Hashable, Kernel | str] = {}
+"""All kernels of this process, and the constructs for which others cannot be made."""
 
 # A thread may come here twice: where jax imports a script of the user's that has the name of a standard module.
 _locks: "defaultdict[Hashable, threading.RLock]" = defaultdict(threading.RLock)
@@ -314,7 +312,10 @@ def types_of(leaves: list[Any]) -> list[Hashable]:
 def kernel_for(
     function: Callable[..., Any], static: tuple[Hashable, ...], *examples: Any, registers: int = 1
 ) -> Kernel:
-    """Return the kernel of `function(*static, *arguments)`, which is compiled at the first call; see `Kernel`."""
+    """Return the kernel of `function(*static, *arguments)`, which is compiled at the first call; see `Kernel`.
+
+    **Raises:** `Untranslatable` if no kernel can be made.
+    """
     leaves, tree = flatten(examples)
     key = (function, static, float_type(), vector_bytes(), tree, *types_of(leaves))
     with _lock:
@@ -326,12 +327,19 @@ def kernel_for(
             name = digest(function, static, types, settings)
             kernel = None if name is None else Kernel.found(name)
             if kernel is None:
-                with _uncollected():
-                    kernel = Kernel(lambda *dynamic: function(*static, *dynamic), *examples, registers=registers)
+                try:
+                    with _uncollected():
+                        kernel = Kernel(lambda *dynamic: function(*static, *dynamic), *examples, registers=registers)
+                except Untranslatable as error:
+                    kernels[key] = str(error)  # no later call traces the function again
+                    raise
                 if name is not None:
                     kernel.enter(name)
             kernels[key] = kernel
-    return kernels[key]
+        known = kernels[key]
+    if isinstance(known, str):
+        raise Untranslatable(known)
+    return known
 
 
 @contextmanager

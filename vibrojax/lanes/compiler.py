@@ -1,18 +1,19 @@
-"""Compiled programs of lanes. Kernels of scenes from outside the package are first compared with XLA."""
+"""Compiled functions and programs of lanes: kernels, or compiled by XLA where no kernel can be made."""
 
 from collections.abc import Callable
+from functools import wraps
 from importlib.metadata import version
-from inspect import isfunction
+from inspect import isfunction, signature
 from typing import Any, TypeVar
 
 import llvmlite
 import numpy as np
 
-from vibrojax.compile import native, trust
+from vibrojax.compile import native
 from vibrojax.compile.agreement import check
+from vibrojax.compile.assembly import Untranslatable
 from vibrojax.compile.native import BoundKernel, kernel_for
-from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation
-from vibrojax.lanes.agreement import scene_subject
+from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation, jitted
 from vibrojax.lanes.programs import ProgramKey, settle_lanes
 from vibrojax.lazy import jnp
 from vibrojax.physics import elementary
@@ -43,20 +44,33 @@ EQUATION_FUNCTIONS = (*(x for x in vars(elementary).values() if isfunction(x) an
 """Elementary functions that equations and measures use: the generic functions of `elementary`, and arctan2."""
 
 
-def lane_function(static: int, derives: bool = False) -> Callable[[Callable[..., R]], Callable[..., R]]:
-    """Return a decorator that compiles a function of lanes; see [vibrojax.compile.trust.lane_function][].
+def lane_function(static: int) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Return a decorator that compiles a function of lanes, whose first `static` arguments are static and hashable.
 
-    Kernels of a scene from outside the package run only if the first steps of this scene agree with XLA. `derives`:
-    whether the function computes derivatives of a scene's equations.
+    The other arguments and the results are pytrees of scalars and of arrays whose last axis is the lane axis. The
+    function is compiled on its first call with each combination of argument types.
     """
-    return trust.lane_function(static, derives=derives, policy=scene_subject)
+
+    def decorate(function: Callable[..., R]) -> Callable[..., R]:
+        by_xla = jitted(tuple(signature(function).parameters)[:static])(function)
+
+        @wraps(function)
+        def call(*args: Any) -> Any:
+            try:
+                return kernel_for(function, args[:static], *args[static:])(*args[static:])
+            except Untranslatable:
+                return by_xla(*args)
+
+        return call
+
+    return decorate
 
 
 class Programs:
     """Compiled programs with one `ProgramKey`, of arrays of any length whose last axis is the lane axis.
 
-    The programs are kernels for the CPU, which raise `Untranslatable` if no kernel can be made or trusted, or compiled
-    by XLA for the devices of a `platform`, such as "cpu".
+    The programs are kernels for the CPU, which raise `Untranslatable` if no kernel can be made, or compiled by XLA
+    for the devices of a `platform`, such as "cpu".
 
     - `block`: number of lanes that step together, so that each waits for the slowest.
     - `lanes_per_call`: number of lanes per call, large enough for a small overhead of the call.
@@ -89,8 +103,7 @@ class Programs:
         """
         if self._platform is None:
             registers = KERNEL_REGISTERS.get(program, 1)
-            kernel = trust.trusted_kernel(program, (self.kind,), *arguments, registers=registers, policy=scene_subject)
-            return kernel.bind(*arguments)
+            return kernel_for(program, (self.kind,), *arguments, registers=registers).bind(*arguments)
         return BoundProgram(program, (self.kind,), self.block, self.lanes_per_call // self.block, *arguments)
 
 

@@ -191,8 +191,7 @@ class Engine:
         """Compile the programs once, instead of in every thread, without stepping lanes.
 
         On CPUs, the programs of the observation are compiled in the background while the others already run. A thread
-        that needs one of them waits for it. `inputs`: lanes, of which the first are used to decide whether kernels are
-        trusted.
+        that needs one of them waits for it.
 
         **Raises:** `InputError` if the compiled arithmetic is wrong on this machine.
         """

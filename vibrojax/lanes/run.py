@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -10,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax.compile.trust import comparing_derivatives
 from vibrojax.compile.xla import workers
 from vibrojax.lanes.certificate import (
     ERROR_FLOOR,
@@ -68,7 +66,7 @@ class LaneRun:
     def compile(self, inputs: LaneInputs) -> None:
         """Compile the programs at the first call."""
         if not self._compiled:
-            with timed("compile"), comparing_derivatives() if self.stages else nullcontext():
+            with timed("compile"):
                 self.engine.compile(inputs, self.accuracy)
             self._compiled = True
 

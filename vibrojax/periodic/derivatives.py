@@ -196,7 +196,7 @@ class _OnOrbit(NamedTuple):
     period: Lanes
 
 
-@lane_function(static=1, derives=True)
+@lane_function(static=1)
 def _features_along(
     scene: Scene[Any], on: _OnOrbit, along: _OnOrbit, past: Array, settle: Lanes, observe: Lanes, effort: Effort
 ) -> tuple[Features, Features]:

@@ -154,7 +154,7 @@ class EventMargin(Margin):
         return margin
 
 
-@lane_function(static=2, derives=True)
+@lane_function(static=2)
 def event_mapped(
     scene: Scene[Any],
     along: tuple[str, ...],

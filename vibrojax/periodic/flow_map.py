@@ -50,7 +50,7 @@ def moving_names(scene: Scene[Any]) -> list[str]:
     return [name for name in scene.state_names if name not in (*scene.drifting, *scene.redundant)]
 
 
-@lane_function(static=3, derives=True)
+@lane_function(static=3)
 def flowed(
     scene: Scene[Any],
     stepper: Stepper,

@@ -192,7 +192,7 @@ class _Carry(NamedTuple):
     rows: Array
 
 
-@lane_function(static=3, derives=True)
+@lane_function(static=3)
 def _returns(
     scene: Scene[Any],
     stepper: Stepper,

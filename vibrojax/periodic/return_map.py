@@ -81,7 +81,7 @@ def varying(flight: _Flight) -> Any:
     return flight.lane, flight.time, flight.margins, flight.seen.margin
 
 
-@lane_function(static=3, derives=True)
+@lane_function(static=3)
 def mapped(
     scene: Scene[Any],
     stepper: Stepper,

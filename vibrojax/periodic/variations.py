@@ -141,7 +141,7 @@ def eigenvalues(
     return values, slopes, alike
 
 
-@lane_function(static=2, derives=True)
+@lane_function(static=2)
 def second_variation(
     scene: Scene[Any],
     stepper: Located,

@@ -101,13 +101,13 @@ def _constants(scene: Scene[Any], start: str | None, begin: Begin) -> tuple[Any,
     return scene.scaled(c, lax.stop_gradient(state)), state
 
 
-@lane_function(static=2, derives=True)
+@lane_function(static=2)
 def _begun(scene: Scene[Any], start: str | None, begin: Begin, along: Begin) -> tuple[Lane, Lane]:
     """Return lanes at t = 0, and their derivatives along the direction `along`."""
     return jax.jvp(lambda begin: with_derivatives(lane_at(scene, *_constants(scene, start, begin))), (begin,), (along,))
 
 
-@lane_function(static=2, derives=True)
+@lane_function(static=2)
 def _sampled(
     scene: Scene[Any],
     start: str | None,

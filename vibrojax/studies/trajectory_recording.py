@@ -2,24 +2,24 @@
 
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from vibrojax.compile.xla import precision
-from vibrojax.errors import Place, shown
+from vibrojax.errors import InputError, Place, shown
 from vibrojax.io.variables import VARIABLES
-from vibrojax.lanes.agreement import recorder_of
 from vibrojax.lanes.compiler import lane_function
 from vibrojax.lanes.drift import drift
 from vibrojax.lanes.labels import measured_besides, regime_variables, regimes, unresolved, with_radius
-from vibrojax.lanes.programs import LaneArguments
 from vibrojax.lanes.record import RECORD_MAX_STEPS, Record, SampledMotion, record, window
 from vibrojax.lazy import jax, jnp
 from vibrojax.maps.read import Point
+from vibrojax.measures import recorder_for
 from vibrojax.measures.labels import derived
-from vibrojax.measures.recorder import Features
+from vibrojax.measures.recorder import Features, Records
 from vibrojax.physics.arrays import Array
 from vibrojax.progress import Progress, timed
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
@@ -96,7 +96,7 @@ def recorded(
     scene = point.system
     with precision("float64"):
         state = scene.start(constants, point.start, (1,))
-        recorder = recorder_of(scene)
+        recorder = _recorder_of(scene)
 
         def run(duration: float, report: Callable[[float], None] | None, most_steps: int) -> tuple[Record, Features]:
             begin, _ = window(scene, duration)
@@ -138,16 +138,21 @@ def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:
     if is_exact and isinstance(scene, HasFriction) and bool(unresolved(scene, point.parameters, "float64")):
         advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"
         raise place.error(f"the point cannot be run: too stiff, so that nothing moves in a step; {advice}")
-    # A kernel is compared with XLA on the lanes among its arguments: on this motion, not on a block at rest at zero.
-    named = isinstance(point.start, str) and point.start in scene.starts
-    states = () if point.start is None or isinstance(point.start, str) else tuple(np.full(1, x) for x in given)
-    start = scene.starts.index(str(point.start)) if named else len(scene.starts) if states else 0
-    return _compiled_constants(scene, LaneArguments(p, np.full(1, start, np.int32), states))
+    return _compiled_constants(scene, p)
 
 
 @lane_function(static=1)
-def _compiled_constants(scene: Scene[Any], given: LaneArguments) -> Any:
-    return scene.constants(given.parameters)
+def _compiled_constants(scene: Scene[Any], p: dict[str, Array]) -> Any:
+    return scene.constants(p)
+
+
+@lru_cache
+def _recorder_of(scene: Scene[Any]) -> Records | None:
+    """Return the recorder of a scene, or None if the scene has nothing to measure or its declarations are invalid."""
+    try:
+        return recorder_for(scene)
+    except InputError:
+        return None
 
 
 def labelled_features(
