@@ -109,10 +109,10 @@ class Located(Stepper):
         return event, functions
 
     def narrowed(
-        self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, converged: Array, tolerance: Array
+        self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, reach: Array, tolerance: Array
     ) -> Array:
-        """Return the part of a trial step of length `h` [s] over which all series have converged."""
-        return converged
+        """Return the part of a trial step of length `h` [s] over which all series have converged, at most `reach`."""
+        return reach
 
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
@@ -134,8 +134,8 @@ class Located(Stepper):
         # The series counts as converged where its last two terms are below tolerance times scale.
         last = reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series[-2:]])
         converged = jnp.minimum(rough_root(accuracy.tolerance * scale / last, self.order - 1), 1.0)
-        converged = self.narrowed(scene, constants, lane, h, converged, accuracy.tolerance)
         reach = jnp.where(rest, 1.0, converged)
+        reach = self.narrowed(scene, constants, lane, h, reach, accuracy.tolerance)
         event, functions = self.passing(event, functions, polynomials, lane, reach)
         validity = scene.validity(constants, lane.mode, polynomials, functions)
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))
@@ -173,12 +173,12 @@ class Varied(Located):
     """
 
     def narrowed(
-        self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, converged: Array, tolerance: Array
+        self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, reach: Array, tolerance: Array
     ) -> Array:
         c, mode, state = lax.stop_gradient((constants, lane.mode, lane.state))
         begin, number = scene.small_changes(c, state), len(state)
         if not begin:
-            return converged
+            return reach
 
         def field(series: tuple[Any, ...]) -> tuple[Any, ...]:
             y, changes = series[:number], series[number:]
@@ -187,5 +187,5 @@ class Varied(Located):
         changes = [series.arrays(self.order, h) for series in expand(field, (*state, *begin), h, self.order)[number:]]
         sizes = [[jnp.abs(x) for x in series] for series in changes]
         last = reduce(jnp.maximum, [jnp.maximum(*series[-2:]) / (series[0] + series[1]) for series in sizes])
-        last = jnp.where(jnp.isfinite(last), last, 0.0)  # a root has no derivative where it is zero
-        return jnp.minimum(converged, rough_root(CHANGE_TOLERANCES * tolerance / last, self.order - 1))
+        known = jnp.where(jnp.isfinite(last), last, 0.0)  # a root has no derivative where it is zero
+        return jnp.minimum(reach, rough_root(CHANGE_TOLERANCES * tolerance / known, self.order - 1))
