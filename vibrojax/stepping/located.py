@@ -134,8 +134,8 @@ class Located(Stepper):
         # The series counts as converged where its last two terms are below tolerance times scale.
         last = reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series[-2:]])
         converged = jnp.minimum(rough_root(accuracy.tolerance * scale / last, self.order - 1), 1.0)
-        reach = jnp.where(rest, 1.0, converged)
-        reach = self.narrowed(scene, constants, lane, h, reach, accuracy.tolerance)
+        trusted = jnp.where(rest, 1.0, converged)
+        reach = self.narrowed(scene, constants, lane, h, trusted, accuracy.tolerance)
         event, functions = self.passing(event, functions, polynomials, lane, reach)
         validity = scene.validity(constants, lane.mode, polynomials, functions)
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))
