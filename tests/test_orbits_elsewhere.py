@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from systems import BALL, IMPACT_OSCILLATOR, mass, one_state, oscillator_grazes, oscillator_orbits
 
@@ -195,3 +196,69 @@ def test_orbit_is_found_only_if_lane_would_have_left(y, growth, reason):
         np.testing.assert_allclose(lane.multiplier_abs[0], np.exp(growth * lane.period), rtol=1e-9)
     elif y == 0:
         assert np.isinf(lane.error_estimate)
+
+
+def test_changes_move_faster_than_the_motion():
+    """Series of the motion do not show how two equal masses, which move side by side, would swing against each other.
+    In the other system y = 0, and its series do not show the swing on the spring of stiffness 1 + k x²."""
+    w, damping, k = 1.3, 0.2, 1e4
+    period = 2 * np.pi / w
+    push = lambda t: cos(w * t)  # noqa: E731
+    masses = {
+        "x": lambda t, y: y["u"],
+        "u": lambda t, y: push(t) - damping * y["u"] - y["x"] - k * (y["x"] - y["y"]),
+        "y": lambda t, y: y["v"],
+        "v": lambda t, y: push(t) - damping * y["v"] - y["y"] - k * (y["y"] - y["x"]),
+    }
+    hidden = masses | {
+        "u": lambda t, y: push(t) - damping * y["u"] - y["x"],
+        "v": lambda t, y: -damping * y["v"] - (1 + k * y["x"] ** 2) * y["y"],
+    }
+    forced = 1 / complex(1 - w**2, damping * w)
+
+    def spring(t, z):
+        return [z[1], -damping * z[1] - (1 + k * (forced * np.exp(1j * w * t)).real ** 2) * z[0]]
+
+    monodromy = [solve_ivp(spring, (0, period), e, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1] for e in np.eye(2)]
+    plain = np.full(4, np.exp(-damping * period / 2))
+    expected = [plain, np.sort([*np.abs(np.linalg.eigvals(monodromy)), *plain[:2]])[::-1]]
+    for field, moduli in zip((masses, hidden), expected, strict=True):
+        system = vj.System(
+            "changes",
+            states=dict.fromkeys(field, "1"),
+            parameters={"q": 1.0},
+            field=lambda t, y, p, field=field: {name: rate(t, y) for name, rate in field.items()},
+            period=period,
+        )
+        ds = vj.run_sweep(
+            {"scene": system, "starts": [[0.1, 0, 0.1 * (field is masses), 0]], "run": {"orbits": True}}, progress=False
+        )
+        np.testing.assert_allclose(ds.multiplier_abs.values.ravel(), moduli, rtol=1e-6)
+
+
+def test_two_masses_that_meet_their_stops_at_one_instant():
+    """Masses of the impact oscillator side by side. Without coupling they have its multipliers twice. A spring
+    between them turns the phases of two of the multipliers."""
+    [orbit] = oscillator_orbits(1.0, R, 0.9, 1.0, 0.1, 0.5)
+    push = lambda t, x, v, other: cos(0.9 * t) - 0.1 * v - x - 0.3 * (x - other)  # noqa: E731
+    system = vj.System(
+        "twins",
+        states={"x": "m", "u": "m s-1", "y": "m", "v": "m s-1"},
+        parameters={"q": 1.0},
+        field=lambda t, y, p: {
+            "x": y["u"],
+            "u": push(t, y["x"], y["u"], y["y"]),
+            "y": y["v"],
+            "v": push(t, y["y"], y["v"], y["x"]),
+        },
+        period=2 * np.pi / 0.9,
+        events=[
+            vj.Impact("first", gap=lambda t, y, p: 0.5 - y["x"], velocity="u", restitution=R),
+            vj.Impact("second", gap=lambda t, y, p: 0.5 - y["y"], velocity="v", restitution=R),
+        ],
+    )
+    ds = vj.run_sweep({"scene": system, "starts": [[0.0] * 4], "run": {"orbits": True}}, progress=False)
+    moduli = ds.multiplier_abs.values.ravel()
+    assert ds.impact_velocity.item() == pytest.approx(orbit.speed, rel=1e-8)
+    assert np.prod(moduli) == pytest.approx(np.prod(np.abs(orbit.multipliers)) ** 2, rel=1e-6)
+    assert np.abs(moduli - abs(orbit.multipliers[0])).max() < 1e-6

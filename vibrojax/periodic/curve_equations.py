@@ -36,7 +36,7 @@ from vibrojax.periodic.newton import (
 from vibrojax.periodic.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.periodic.return_map import bounds_of, over_segments
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
-from vibrojax.stepping import Located
+from vibrojax.stepping import Varied
 
 FLIP_STEP = 1e-3
 """Scaled difference of states from which third derivatives are taken. Second derivatives are exact."""
@@ -207,7 +207,7 @@ class CurveProblem(Problem):
         begin, bounds = (states[:, segment], first[:, segment], second), bounds_of(DERIVATIVE_ACCURACY, self.most_steps)
 
         def moved(*part: Any) -> Any:
-            return second_variation(self.scene, Located(), *part, *bounds)[1][2]
+            return second_variation(self.scene, Varied(), *part, *bounds)[1][2]
 
         slopes = np.asarray(over_segments(moved, pairs, *begin))
         return self.scaled(curve, np.moveaxis(slopes.reshape(rows, lanes, cycles, rows + 2), 0, 2))

@@ -30,7 +30,7 @@ from vibrojax.periodic.tangent_loop import with_derivatives
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, ZERO_MULTIPLIER, Variations, eigenvalues
 from vibrojax.physics.arrays import Array, Lanes
 from vibrojax.scenes import Scene
-from vibrojax.stepping import Located, lane_at
+from vibrojax.stepping import Varied, lane_at
 
 NEAR_EVENT = 1e-4
 """Grazing margin below which derivatives are not valid: they would hold over a parameter range of about its square."""
@@ -219,8 +219,8 @@ def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, obser
     if isinstance(recorder, Recorder):
         carry = on_orbit(carry, past, on.when, on.period)
     underway = LaneState(*with_derivatives((lane, carry)), zero)
-    underway = settle_block(scene, Located(), recorder, c, underway, settle, effort)
-    _, features = observe_block(scene, Located(), recorder, c, underway, settle, observe, effort)
+    underway = settle_block(scene, Varied(), recorder, c, underway, settle, effort)
+    _, features = observe_block(scene, Varied(), recorder, c, underway, settle, observe, effort)
     if "impacts" in features:  # per section crossing, because the observation is too short to detect a repeat
         quantities = derived_quantities(scene, features | {"cycles": zero + 1}, HOLE_RADIUS, jnp)
         features |= {name: x for name, x in quantities.items() if name != "specific_energy"}

@@ -22,7 +22,7 @@ from vibrojax.periodic.return_map import Mapped, ReturnLoop, map_state
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values
-from vibrojax.stepping import Accuracy, Lane, Located, Step
+from vibrojax.stepping import Accuracy, Lane, Step, Varied
 from vibrojax.stepping.event import Event
 from vibrojax.stepping.polynomial import Coefficients, first_guess, root, slope, value
 from vibrojax.stepping.series import known
@@ -56,7 +56,7 @@ class PassedEvent(Event):
 
 
 @dataclass(frozen=True)
-class Passing(Located):
+class Passing(Varied):
     """The located stepper whose motion passes shallow zeros of the `chosen` guards, masks (lanes,) of 0 and 1."""
 
     chosen: tuple[Array, ...] = ()

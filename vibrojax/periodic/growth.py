@@ -21,7 +21,7 @@ from vibrojax.periodic.return_map import MOST_STEPS, at_section, passed
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values
-from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
+from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, Varied, lane_at
 from vibrojax.threads import in_parallel
 
 ALIGNING_SHARE = 1 / 16
@@ -301,7 +301,9 @@ def grow(
         last: deque[np.ndarray] = deque(maxlen=(kept or returns) // RETURNS_PER_CALL)
         with precision("float64"):
             for _ in range(returns // RETURNS_PER_CALL):
-                rows, dx = map(np.asarray, _returns(scene, Located(), grows, p, x, dx, size, accuracy))
+                rows, dx = map(
+                    np.asarray, _returns(scene, Varied() if grows else Located(), grows, p, x, dx, size, accuracy)
+                )
                 x = rows[-1, 2:]
                 last.append(rows)
         rows = np.concatenate(last)

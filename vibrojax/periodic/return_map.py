@@ -22,7 +22,7 @@ from vibrojax.periodic.tangent_loop import Loop
 from vibrojax.physics.arrays import Array, Flags, Lanes, Real
 from vibrojax.scenes import Driven, HasImpacts, Scene
 from vibrojax.scenes.declared import Section, Values
-from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Located, Step, Stepper, lane_at
+from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Step, Stepper, Varied, lane_at
 from vibrojax.threads import in_parallel
 
 MOST_STEPS = 4000.0
@@ -251,7 +251,7 @@ class Segments:
         most: float = MOST_STEPS,
         program: Callable[..., Any] = mapped,
     ) -> None:
-        self._given = scene, Located(), along
+        self._given = scene, Varied(), along
         self._program, self._bounds = program, bounds_of(steps, most)
 
     def __call__(

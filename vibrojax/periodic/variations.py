@@ -21,7 +21,7 @@ from vibrojax.periodic.newton import PerLane, shooting_matrix, solve
 from vibrojax.periodic.return_map import MOST_STEPS, ReturnLoop, bounds_of, map_state, over_segments
 from vibrojax.physics.arrays import Array, Lanes
 from vibrojax.scenes import Scene
-from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located
+from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Located, Varied
 
 DERIVATIVE_ACCURACY = Accuracy(tolerance=1e-12, stride=LOCATED_STRIDE, step=np.inf)
 """Accuracy of the steps; the series of tangents converge more slowly than the series of the motion."""
@@ -77,7 +77,7 @@ class Variations(NamedTuple):
         bounds = bounds_of(DERIVATIVE_ACCURACY, MOST_STEPS)
         derivatives = jax.tree.map(
             lambda x: np.moveaxis(np.asarray(x), -1, 0).reshape(*shape, *np.shape(x)[:-1]),
-            over_segments(lambda *part: second_variation(driving, Located(), *part, *bounds), p, *own),
+            over_segments(lambda *part: second_variation(driving, Varied(), *part, *bounds), p, *own),
         )
         (_, times, moved, margin, impacts), slopes = derivatives
         jacobian = np.swapaxes(moved[:, :, :, 0], 2, 3)

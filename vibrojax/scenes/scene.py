@@ -313,6 +313,14 @@ class Scene(ABC, Generic[C]):
         """
         return [polynomials[index] for index in self.velocities], self.speed_scale(c)
 
+    def small_changes(self, c: C, state: Values) -> Values:
+        """Return changes of states whose series must converge if derivatives are computed; none if others show it."""
+        return ()
+
+    def changed_field(self, c: C, mode: Values, state: Values, changes: Values) -> Values:
+        """Return the rates of these changes; `state`, `changes`: Taylor series."""
+        raise NotImplementedError
+
     def resolutions(self, c: C, mode: Values, state: Values, marked: bool = True) -> Values:
         """Return, for each guard and (if `marked`) for each marker, the magnitude up to which values count as zero.
 

@@ -102,8 +102,12 @@ def locate(event: Event, trial: Trial) -> Landing:
     ending = first < jnp.inf
     at_once = ending & (first <= 0)
     chosen = keep(_first_true([guess == first for guess in guesses]))
-    tau = _root_of_chosen(functions, chosen, small, jnp.where(ending & ~at_once, first, 0.5), reach)
-    tau = keep(jnp.where(ending, jnp.where(at_once, 0.0, tau), reach))
+    # A surface that is reached at the start, together with that of the last event, is reached at a time of its own by
+    # the motions nearby. A function that an event makes negative ends the step at the time of that event.
+    meets = [(f[0] >= -tiny.value) & (f[1] < -tiny.slope) for f, tiny in zip(functions, small, strict=True)]
+    jumped = at_once & ~_any([here & met for here, met in zip(chosen, meets, strict=True)])
+    tau = _root_of_chosen(functions, chosen, small, jnp.where(ending & ~jumped, first, 0.5), reach)
+    tau = keep(jnp.where(ending, jnp.where(jumped, 0.0, tau), reach))
 
     state = keep(tuple(value(series, tau) for series in trial.polynomials))
     landed = keep([sign * g for sign, g in zip(signs, event.functions(state), strict=True)])

@@ -42,6 +42,9 @@ ORDER, HIGH_ORDER, HIGH_ORDER_ERROR = 10, 14, 1e-6
 """Order of the series, and order for accepted errors up to the third number. At 1e-4, order 14 takes 11 % less time for
 errors three times as large; at 1e-6 and 1e-9 it takes 31 and 47 % less."""
 
+CHANGE_TOLERANCES = 10.0
+"""Greatest relative magnitude of the last terms in series of small changes, in tolerances of the motion."""
+
 LEAST_ORDER = 2
 """Least order of the series: the length of a step follows from the last two terms."""
 
@@ -105,6 +108,12 @@ class Located(Stepper):
         """Return the event functions of a trial step; a subclass may let the motion pass some of their zeros."""
         return event, functions
 
+    def narrowed(
+        self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, reach: Array, tolerance: Array
+    ) -> Array:
+        """Return the part of a trial step of length `h` [s] over which all series have converged, at most `reach`."""
+        return reach
+
     def step(
         self, scene: Scene[Any], constants: Any, lane: Lane, accuracy: Accuracy, goal: Goal, marked: bool = True
     ) -> tuple[Lane, Step]:
@@ -125,7 +134,8 @@ class Located(Stepper):
         # The series counts as converged where its last two terms are below tolerance times scale.
         last = reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series[-2:]])
         converged = jnp.minimum(rough_root(accuracy.tolerance * scale / last, self.order - 1), 1.0)
-        reach = jnp.where(rest, 1.0, converged)
+        trusted = jnp.where(rest, 1.0, converged)
+        reach = self.narrowed(scene, constants, lane, h, trusted, accuracy.tolerance)
         event, functions = self.passing(event, functions, polynomials, lane, reach)
         validity = scene.validity(constants, lane.mode, polynomials, functions)
         reach = keep(lax.stop_gradient(reach if validity is None else jnp.minimum(reach, validity)))
@@ -152,3 +162,30 @@ class Located(Stepper):
             accepted=landing.accepted & ~rejected,
             hits={name: mask & ~rejected for name, mask in landing.hits.items()},
         )
+
+
+@dataclass(frozen=True)
+class Varied(Located):
+    """The located stepper for motions whose derivatives are computed: the series of small changes converge, too.
+
+    A change may move much faster than the motion. In a motion of two equal masses side by side, no series of the motion
+    shows how the masses swing against each other.
+    """
+
+    def narrowed(
+        self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, reach: Array, tolerance: Array
+    ) -> Array:
+        c, mode, state = lax.stop_gradient((constants, lane.mode, lane.state))
+        begin, number = scene.small_changes(c, state), len(state)
+        if not begin:
+            return reach
+
+        def field(series: tuple[Any, ...]) -> tuple[Any, ...]:
+            y, changes = series[:number], series[number:]
+            return (*scene.field(c, mode, y), *scene.changed_field(c, mode, y, changes))
+
+        changes = [series.arrays(self.order, h) for series in expand(field, (*state, *begin), h, self.order)[number:]]
+        sizes = [[jnp.abs(x) for x in series] for series in changes]
+        last = reduce(jnp.maximum, [jnp.maximum(*series[-2:]) / (series[0] + series[1]) for series in sizes])
+        known = jnp.where(jnp.isfinite(last), last, 0.0)  # a root has no derivative where it is zero
+        return jnp.minimum(reach, rough_root(CHANGE_TOLERANCES * tolerance / known, self.order - 1))

@@ -86,7 +86,8 @@ def root(coefficients: Coefficients, zeros: Array, guess: Array, end: Array) -> 
     Newton's iteration stays inside a shrinking bracket. It is applied to the polynomial divided by tau^zeros, so that
     it does not converge to tau = 0 if the step starts on the guard (zeros = 1) or at a tangency to it (zeros = 2).
 
-    **Arguments:** `coefficients`: list of (lanes,); `zeros`, `guess` (initial value of tau), `end`: (lanes,).
+    **Arguments:** `coefficients`: list of (lanes,); `zeros`, `guess` (initial value of tau; 0 for the root at 0),
+    `end`: (lanes,).
 
     **Returns:** tau (lanes,). Its derivative is that of the root of the polynomial G, d tau = -sum_k dc_k tau^k /
     G'(tau), not that of the iteration. Event times thus have the correct derivatives with respect to parameters.
@@ -111,7 +112,7 @@ def _iterated_root(coefficients: Coefficients, zeros: Array, guess: Array, end: 
         return tau, low, high
 
     tau, _, _ = lax.fori_loop(0, ROOT_ITERATIONS, refine, (guess, jnp.zeros_like(end), end))
-    return tau
+    return jnp.where(guess > 0, tau, 0.0)
 
 
 def _root_jvp(primals: tuple, tangents: tuple) -> "tuple[jax.Array, jax.Array]":

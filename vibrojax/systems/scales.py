@@ -13,7 +13,7 @@ from vibrojax.scenes.scene import ROUNDINGS, SLOPE_ROUNDINGS
 from vibrojax.systems.equations import SECTION, TIME, SystemEquations
 from vibrojax.systems.events import Impact, Switch
 from vibrojax.systems.flow import SystemConstants
-from vibrojax.systems.numbers import Magnitude, Rounded
+from vibrojax.systems.numbers import Magnitude, Rounded, slopes_along
 from vibrojax.systems.transitions import LIFT_ROUNDINGS, free_modes, is_stop
 
 DEFECT_TOLERANCES = 100.0
@@ -24,6 +24,9 @@ AT_REST = 16.0
 """Speed of a bounce up to which the motion comes to rest on the stop, in square roots of the machine epsilon times the
 typical rate of the gap in a motion from rest. In a much faster motion, half of its own typical rate counts.
 The height of a bounce is of second order in its speed: below, it is lost in rounding."""
+
+GOLDEN = 0.618033988749895
+"""Multiples of it are far from one another, modulo 1."""
 
 BEYOND_RETURN = 1.5
 """Longest step in units of the time until a surface's parabola returns to zero: beyond it, the function is negative."""
@@ -178,6 +181,20 @@ class SystemScales(SystemEquations):
             # The rate of change comes first: a motion is at rest if it is slow, not if the step is short.
             terms.append([rates[index] * (inverse / speed), *higher])
         return terms, one
+
+    def small_changes(self, c: SystemConstants, state: Values) -> Values:
+        # In no system that is built of equal parts do these changes belong to one way of moving.
+        factors = (1.0 + GOLDEN * k % 1.0 for k in range(len(self._own)))
+        return tuple(
+            x * jnp.where(c.typical[name] > 0, c.typical[name], 1.0) for name, x in zip(self._own, factors, strict=True)
+        )
+
+    def changed_field(self, c: SystemConstants, mode: Values, state: Values, changes: Values) -> Values:
+        t, y = self._known(state)
+        along = [*changes, *(0.0 * state[0] for _ in self._discrete)]
+        return tuple(slopes_along(lambda t, y: [*self._flow.at(c, mode, t, y).rates.values()], t, y, along, 0.0))[
+            : len(self._own)
+        ]
 
     def validity(
         self, c: SystemConstants, mode: Values, polynomials: tuple[list[Array], ...], functions: list[list[Array]]
