@@ -8,7 +8,6 @@ of a state are left out, because an error of the time of the jump is not an erro
 A comparison returns its outcome (agree, refused, doubtful from the start, or WRONG) and a remark.
 """
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from exact.described import Described, Expression, Rub, Stop, evaluate
 from exact.hybrid import Hybrid, Motion
 
 import vibrojax as vj
-from vibrojax.compile.trust import KernelRefused
 
 WITHIN, GROWTH, NEXT_TO_JUMP = 1e-7, 100.0, 1e-5
 PUSH = 1e-8
@@ -109,11 +107,7 @@ def compare(described: Described, p: dict[str, float], start: list[float], durat
         return "doubtful", motion.doubt[1] if end == motion.doubt[0] else "sensitive"
     settings = {"start": start, "duration": duration, "sampling": duration / SAMPLES, "error": ERROR, "progress": False}
     try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", KernelRefused)
-            ds = vj.simulate(system_of(described), **settings, **p)
-        if any(issubclass(warning.category, KernelRefused) for warning in caught):
-            return "WRONG", f"kernel: {caught[0].message}"
+        ds = vj.simulate(system_of(described), **settings, **p)
     except vj.InputError as error:
         return "refused", str(error)
     states = np.stack([ds[name].values for name in described.states], axis=1)

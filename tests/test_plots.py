@@ -15,7 +15,7 @@ from refusals import refusal
 from vibrojax.errors import InputError
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.io.variables import REGIMES
-from vibrojax.pictures.axes import value_text
+from vibrojax.pictures.axes import broken_title, value_text
 from vibrojax.pictures.branches import branches, stability, stable_intervals
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.colours import REGIME_COLOURS
@@ -195,6 +195,14 @@ def test_width_that_is_no_length_is_refused():
     for width in ("wide", "3 m", "-85mm", 0, 1e9):
         with pytest.raises(InputError, match=r"width: .* give one like 85mm or 170mm"):
             picture(EXPECTED["regime_grid"](), width=width)
+
+
+def test_titles_break_between_words():
+    """They break between their parts, else between words, and within a word only if it is too long for a line."""
+    title = "start drive: 14 % of the plane"
+    assert broken_title(title, 24) == "start drive:\n14 % of the plane"
+    assert broken_title(title, 12).split() == title.split()
+    assert broken_title("upper\nC = 21.5 ± 0.7 m/h", 24) == "upper\nC = 21.5 ± 0.7 m/h"
 
 
 def test_maps_show_lanes_named_in_their_titles():

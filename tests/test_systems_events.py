@@ -291,30 +291,6 @@ def test_argument_with_default_is_not_a_side():
     vj.System("loop", states={"x": "m"}, parameters={"k": 1.0}, period=1.0, field=field)
 
 
-@pytest.mark.long
-@pytest.mark.compared
-def test_kernel_is_compared_with_xla_on_the_motion_asked_for(recwarn):
-    """At zero, sliding balances the load: kernel and XLA differ by their rounding errors alone, and these decide.
-
-    The motion is compared with its equilibrium: sliding on v + 0.6 x = 0 leads to x = 0, and the other mass decays.
-    """
-    chain = vj.System(
-        "chain-with-load",
-        states={"x": "m", "v": "m s-1", "xx": "m", "vv": "m s-1"},
-        parameters={"load": 0.33368402504834327, "tilt": 0.6027619110984193},
-        section="x",
-        field=lambda t, y, p, s: {
-            "x": y["v"],
-            "v": p["load"] - 0.94376598 * s["side"] - 0.97668473 * y["x"] + 0.29529908 * (y["xx"] - y["x"]),
-            "xx": y["vv"],
-            "vv": -2.02676237 * y["xx"] - 0.5 * y["vv"] - 0.29529908 * (y["xx"] - y["x"]),
-        },
-        events=[vj.Switch("side", lambda t, y, p: y["v"] + p["tilt"] * y["x"])],
-    )
-    assert np.abs(ends(chain, [0.1, -0.2, -0.3, 0.2], 100.0)).max() < 1e-7
-    assert not [warning for warning in recwarn if "kernel" in str(warning.message)]
-
-
 def test_section_is_a_function():
     """On a circle, y - k x rises through zero once a turn. One of the multipliers is zero.
 
