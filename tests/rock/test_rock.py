@@ -1,13 +1,29 @@
 """Test the physics of rock: closed forms, the rocks of Table 4.5, and the drill on rock."""
 
+import jax
 import numpy as np
 import pytest
 
 import vibrojax as vj
-from vibrojax.physics.rock import ROCKS
+from vibrojax.physics.rock import ROCKS, resistance
 
 K3, D = 300e6, 150e3
 SHORT = {"settle": 0.3, "observe": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("rock", "force", "gradient"),
+    [
+        (-1.0, 0.0, (0.0, 0.0, 0.0)),  # off the rock: no tension
+        (0.0, 6e4, (K3, 2e-4, 0.0)),  # elastic: k3 e; derivatives by (e, k3, D)
+        (1.0, D, (0.0, 0.0, 1.0)),  # yielding: D
+    ],
+)
+def test_resistance(rock, force, gradient):
+    """N = k3 e, D or 0 (6.2), with its derivatives within each part."""
+    value, slopes = jax.value_and_grad(resistance, argnums=(0, 1, 2))(2e-4, K3, D, rock)
+    assert float(value) == pytest.approx(force, rel=1e-15)
+    np.testing.assert_allclose(slopes, gradient, rtol=1e-15)
 
 
 def test_table_4_5():
