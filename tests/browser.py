@@ -43,10 +43,10 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
-def new_page(browser: Any, **options: Any) -> tuple[Any, list[tuple[str, str]], list[str]]:
+def new_page(browser: Any, url: str = "", **options: Any) -> tuple[Any, list[tuple[str, str]], list[str]]:
     """Return a page in its own context with these options, its console messages (type, text), and the requested URLs.
 
-    An error that the page does not catch has the type "error".
+    With a URL, the page is open there, and ready. An error that the page does not catch has the type "error".
     """
     page = browser.new_context(**options).new_page()
     page.set_default_timeout(PATIENCE)
@@ -55,6 +55,9 @@ def new_page(browser: Any, **options: Any) -> tuple[Any, list[tuple[str, str]], 
     page.on("console", lambda message: messages.append((message.type, message.text)))
     page.on("pageerror", lambda error: messages.append(("error", str(error))))
     page.on("request", lambda request: requests.append(request.url))
+    if url:
+        page.goto(url)
+        page.wait_for_selector("[data-ready]")
     return page, messages, requests
 
 

@@ -32,6 +32,7 @@ if tuple(int(part) for part in version("jax").split(".")[:3]) < (0, 11, 2):
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
+from browser import chromium  # noqa: E402
 from checked_types import checked, load_in_threads  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
 
@@ -122,6 +123,12 @@ def few_mappings():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 30_000:
         jax.clear_caches()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as instance:
+        yield instance
 
 
 @pytest.fixture(params=[16, 32, 64])

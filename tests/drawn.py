@@ -117,31 +117,6 @@ def rock(grid, **fixed):
     return dataset(variables, coords, title="a rock", scene="penetration", parameters=parameters)
 
 
-def drill(grid, starts=("drive", "stuck")):
-    """Return a drilling sweep with single impacts up to a gap that depends on the start, and no penetration beyond."""
-    shape = (*(len(values) for values in grid.values()), len(starts))
-    mesh = dict(zip([*grid, "start"], np.meshgrid(*grid.values(), range(len(starts)), indexing="ij"), strict=True))
-    gap, k3, beta = (mesh.get(name, x) for name, x in (("delta", -0.005), ("k3", 1e8), ("beta", 0.4)))
-    single = (gap < 0.004 * mesh["start"] + 0.001) & (beta < 0.6)
-    shown = {
-        "regime": np.where(single, 3, 6),
-        "rate_of_penetration": np.where(single, 1e-3 + 0.05 * (gap + 0.005) + 1e-13 * k3, 0.0),
-        "relief": np.where(single, 0.05 + gap, 0.004),
-        "peak_impact_force": np.where(single, 1e5, 3e4) + 1e6 * gap,
-        "impact_velocity": np.where(single, 2.0, 0.5),
-    }
-    variables = {name: ((*grid, "start"), np.broadcast_to(values, shape).copy()) for name, values in shown.items()}
-    return dataset(variables, {**grid, "start": list(starts)}, title="a drill", scene="drilling")
-
-
-def rock_points(count=30):
-    draw = np.random.default_rng(2)
-    ds = rock({"point": np.arange(count)})
-    axes = {"force": ("point", draw.uniform(15e4, 3e5, count)), "k3": ("point", draw.uniform(1e8, 5e8, count))}
-    ds["rate_of_penetration"].values[:] = draw.uniform(0, 0.05, count)
-    return with_axes(ds, **axes)
-
-
 def law(grid):
     """Return a fit with C proportional to the force. The form "line" is best, except "onset" at the largest force."""
     shape = tuple(len(values) for values in grid.values())

@@ -32,13 +32,8 @@ def family_of(seed: int, index: int):
     along = str(np.random.default_rng([seed, index, 5]).choice([n for n in p if n.split("_")[0] in VARIED]))
     span = tuple(sorted((0.7 * p[along], 1.4 * p[along])))
     rest = {name: x for name, x in p.items() if name != along}
-    system = system_of(described)
-    return (
-        described,
-        p,
-        along,
-        vj.follow(system, along=along, at=p[along], span=span, start=start, progress=False, **rest),
-    )
+    options = {"along": along, "at": p[along], "span": span, "start": start, "progress": False}
+    return described, p, along, vj.follow(system_of(described), **options, **rest)
 
 
 def faults(described: Described, p: dict[str, float], along: str, family, points: int = 4) -> tuple[int, list[str]]:

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 from systems import WALLS, mass
 
 import vibrojax as vj
@@ -68,10 +67,6 @@ def test_reason_without_orbit():
     assert f.reason([0.3]).startswith(reason)
 
 
-def test_no_points_have_no_values(f):
-    assert jax.vmap(f)(jnp.zeros((0, 2)))["period"].shape == (0,)
-
-
 def test_points_are_checked(f):
     with pytest.raises(InputError, match="as_jax: the array has the type complex64; give real numbers"):
         f(np.complex64(HERE))
@@ -79,6 +74,9 @@ def test_points_are_checked(f):
         _function(at=[0.4])
     with pytest.raises(InputError, match=r"as_jax: at\[0\]: is -1; it must be above 0"):
         _function(at=[-1.0, 0.75])
+    with pytest.raises(InputError, match=r"as_jax: outside: .zero. is unknown; choose from nearest, nan"):
+        _function(outside="zero")
+    assert jax.vmap(f)(jnp.zeros((0, 2)))["period"].shape == (0,)
 
 
 def test_function_is_pickled_with_its_orbit():
@@ -196,22 +194,3 @@ def test_values_outside_region_of_validity(f):
     assert np.isnan([unknown(BEYOND)[name] for name in OF]).all() and not unknown(BEYOND)["valid"]
     assert np.isnan(jax.grad(lambda x: unknown(x)["period"])(BEYOND)).all()
     assert jnp.isfinite(unknown(HERE)["period"])
-
-
-def test_optimizer_converges(f):
-    """If the stability margin is bounded, the maximum of the power lies on the bound."""
-    scale, least = 1e-3, 0.4
-    value = jax.jit(jax.value_and_grad(lambda x: -scale * f(x)["impact_power"]))
-    margin = jax.jit(jax.value_and_grad(lambda x: -f(x)["margin"] - least))
-    bound = {"type": "ineq", "fun": lambda x: margin(x)[0], "jac": lambda x: np.asarray(margin(x)[1])}
-    best = minimize(
-        lambda x: tuple(map(np.asarray, value(x))), HERE, jac=True, method="SLSQP", constraints=[bound],
-        bounds=[(0.35, 0.45), (0.65, 0.8)],
-    )  # fmt: skip
-    assert best.success and f(jnp.asarray(best.x))["valid"]
-    assert f(jnp.asarray(best.x))["margin"] == pytest.approx(-least, abs=1e-6)
-
-
-def test_unknown_choice_is_refused():
-    with pytest.raises(InputError, match=r"as_jax: outside: .zero. is unknown; choose from nearest, nan"):
-        vj.as_jax("vibro-impact", of="period", by=["beta", "gamma"], outside="zero")

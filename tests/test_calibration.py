@@ -292,13 +292,7 @@ ROWS = {"v": [1.0, 1.5], "period": [0.23, 0.23]}
 REFUSED = [
     ({"unknown": {}}, "unknown: missing"),
     ({"data": {"v": [1.0], "perid": [0.2]}}, "column perid: is neither a parameter"),
-    ({"data": {"v": [1.0, 1.5], "period": [0.2, np.inf]}}, "column period: has an infinite value"),
-    (
-        {"scene": "drilling", "data": {"v": [1.0, 1.5, 2.0], "rate_of_penetration": [1e-3, np.nan, -1e-3]}},
-        "rate_of_penetration: has 1 negative value, first in row 2, where none is possible; correct the cells, or",
-    ),
     ({"data": {"v": [1.0, 1.5], "period": [-999.25, 0.2]}}, "column period: has 1 negative value, first in row 0"),
-    ({"start": "stick"}, 'calibration: start: "stick" is unknown; did you mean "stuck"?'),
     (
         {"unknown": {"k1": [1e5, 3e5]}, "error": {"period": 1e-3}, "prior": {"k1": [170.0, 10.0]}},
         "prior.k1: the mean 170 N/m is outside the bounds, 100000 to 300000 N/m; correct its unit, or widen [unknown]",
@@ -310,7 +304,6 @@ REFUSED = [
         {"history": {"time": np.arange(0.0, 1000.0, 2.0), "v1": np.zeros(500)}},
         'more than half a period of the bit (0.251 s); if it is in ms, write "time (ms)"',
     ),
-    ({"history": {"data": {"time": [0.0, 1.0], "v1": [0.0] * 2}, "window": [3.0, 4.0]}}, "window: holds 0 samples"),
 ]
 
 

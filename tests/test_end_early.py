@@ -148,17 +148,6 @@ def test_result_does_not_depend_on_chunk_size():
         np.testing.assert_array_equal(whole[name], parts[name], err_msg=name)
 
 
-def test_no_search_where_it_costs_more_than_it_saves():
-    assert lane_stages.EARLY_END_MIN_SECONDS == 5e6
-
-    def rule_of(source):
-        return lane_stages.stop_rule(read_sweep(source).inputs(), read_sweep(source).plan)
-
-    assert rule_of(sweep(lanes=8)) is None and rule_of(sweep(lanes=8, settle=1e6)) is not None
-    pulses = {"scene": "penetration", "grid": {"frequency": [40.0, 50.0]}, "run": {"settle": 1e7}}
-    assert rule_of(pulses) is None
-
-
 @pytest.mark.usefixtures("allow_any_cost")
 def test_nearby_orbit_predicts_end_of_long_transient():
     """Most lanes that are not periodic after 40 s but have a stable orbit nearby are on it after 300 s."""

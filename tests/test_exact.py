@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from exact import measure, run
+from exact.friction import LAWS
 from exact.measures import sections
 from systems import events_of
 
@@ -55,8 +56,7 @@ def test_simulate(scene):
 
 @pytest.mark.parametrize(
     "law",
-    ["hyperbolic-quadratic"]
-    + [pytest.param(law, marks=pytest.mark.long) for law in ("popp-exponential", "popp-arctan", "coulomb")],
+    ["hyperbolic-quadratic", *(pytest.param(law, marks=pytest.mark.long) for law in LAWS)],
 )
 def test_simulate_friction_laws(law):
     motion, dataset = run_both("vibro-impact", beta=0.4, gamma=0.6, v=0.8, start="stuck", friction=law)
@@ -190,9 +190,7 @@ def test_settling_time(features, name="gap"):
         ([1, 2, 3, 4, 5, 6, 7, 8], 1),
         ([8, 7, 6, 5, 4, 3, 2, 1], -1),
         ([1, 2, 3, 4, 4, 6, 7, 8], 0),  # not strictly monotonic
-        ([1, 2, 3, 4, 3, 6, 7, 8], 0),
         ([100, 100.1, 100.2, 100.3, 100.4, 100.5, 100.6, 100.7], 0),  # by less than 1 %
-        ([100, 100.1, 100.2, 100.3, 100.4, 100.5, 100.6, 101.1], 1),
         ([1, 2, 3, np.nan, 5, 6, 7, 8], 0),  # one eighth has no return
     ],
 )

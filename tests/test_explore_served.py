@@ -14,7 +14,7 @@ from urllib.request import url2pathname
 
 import numpy as np
 import pytest
-from browser import chromium, new_page, wrong
+from browser import new_page, wrong
 from cell_blocks import decode
 from commands import end_of, start, wait_for
 from refusals import command_refusal
@@ -78,18 +78,10 @@ def test_command_serves_until_interrupted_and_browser_arguments_hold_no_token(fi
     assert not redirect.parent.exists()
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as instance:
-        yield instance
-
-
 @contextmanager
 def browser_page(browser, url):
     """Open a page; check that its console has no error and that it requests nothing from elsewhere."""
-    page, messages, requests = new_page(browser, viewport={"width": 1280, "height": 900})
-    page.goto(url)
-    page.wait_for_selector("[data-ready]")
+    page, messages, requests = new_page(browser, url, viewport={"width": 1280, "height": 900})
     yield page
     page.context.close()
     # A browser logs refused values as errors, whatever the page does with the answer.
@@ -137,9 +129,7 @@ def test_dragging_slider_changes_motion(dataset, browser):
 def test_stopped_server_is_reported(dataset, browser):
     """A line beside the sliders reports it, and the page keeps what it shows."""
     with serve(dataset) as live:
-        page, _, _ = new_page(browser)
-        page.goto(live.url)
-        page.wait_for_selector("[data-ready]")
+        page, _, _ = new_page(browser, live.url)
         live.close()
         page.locator("input[data-parameter=v]").press("ArrowLeft")
         page.locator(".vx-wrong", has_text="the server does not answer; it may have been stopped").wait_for()
@@ -173,17 +163,10 @@ def sent(widget):
     return messages
 
 
-def test_cell_selected_in_page_is_known_to_python(widget, dataset):
+def test_python_selects_nearest_cell(widget, dataset):
     seen = []
-    widget.observe(lambda change: seen.append(change["new"]), "point")
     widget.set_state({"cell": {"beta": 2, "gamma": 1, "start": 1}})  # as the page sends it
-    assert widget.point == {"beta": 0.4, "gamma": 0.7, "start": "stuck"} and seen == [widget.point]
-    assert widget.cell == {"beta": 2, "gamma": 1, "start": 1}
     assert widget.lane.identical(dataset.isel(beta=2, gamma=1, start=1))
-
-
-def test_python_selects_nearest_cell(widget):
-    seen = []
     widget.observe(lambda change: seen.append(change["new"]), "cell")
     widget.point = {"beta": 0.31, "gamma": 0.79, "start": "stuck"}
     assert widget.cell == {"beta": 0, "gamma": 3, "start": 1} and seen == [widget.cell]

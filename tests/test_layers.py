@@ -135,31 +135,6 @@ with ThreadPoolExecutor(4) as pool:
 """Code of a process whose threads import jax at once, of which two compute in a precision of their own."""
 
 
-WHILE_IMPORTED = """
-import sys, threading
-from vibrojax.compile.identity import digest
-from vibrojax.lanes.programs import settle_lanes
-from vibrojax.scenes import SCENES
-from vibrojax.stepping import Located
-roots = settle_lanes, SCENES["rotary"], Located()
-before = digest(*roots)
-thread = threading.Thread(target=__import__, args=("jax",))
-thread.start()
-while "jax" not in sys.modules:
-    pass
-during = {digest(*roots)}
-while thread.is_alive():
-    during.add(digest(*roots))
-print(before is not None, during == {before}, digest(*roots) == before)
-"""
-"""Code of a process that identifies kernels before, while and after a thread imports jax."""
-
-
-def test_kernels_are_identified_while_jax_is_imported():
-    completed = subprocess.run([sys.executable, "-c", WHILE_IMPORTED], capture_output=True, text=True)
-    assert (completed.stdout, completed.stderr) == ("True True True\n", "")
-
-
 def test_threads_import_jax_at_once_each_with_its_precision():
     completed = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True)
     assert (completed.returncode, completed.stderr) == (0, "")

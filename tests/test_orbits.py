@@ -9,8 +9,6 @@ from exact import orbits as exact
 from exact.orbits import in_upper_half
 
 import vibrojax as vj
-from vibrojax.cli import main
-from vibrojax.io.dataset import open_dataset
 
 CASES = json.loads((Path(__file__).parent / "data" / "orbit_cases.json").read_text())["orbits"]
 ORBITS = {"orbits": True}
@@ -117,28 +115,6 @@ def test_irregular_and_failed_lanes_have_no_orbit():
 
 
 # Commands and files
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("orbits")
-    table = 'scene = "vibro-impact"\n[grid]\nbeta = [0.3, 0.4]\ngamma = [0.7]\n[run]\n'
-    (folder / "with.toml").write_text(table + "orbits = true\n")
-    (folder / "without.toml").write_text(table)
-    assert main(["sweep", str(folder / "with.toml"), "-o", str(folder / "with.nc"), "--quiet"]) == 0
-    assert main(["sweep", str(folder / "without.toml"), "-o", str(folder / "without.nc"), "--quiet"]) == 0
-    return folder
-
-
-@pytest.mark.parametrize("given", ["without.toml", "with.nc"])
-def test_command_gives_result_of_sweep(folder, given, capsys):
-    out = folder / f"of-{given.replace('.', '-')}.nc"
-    assert main(["orbits", str(folder / given), "-o", str(out)]) == 0
-    assert "4 found of 4 lanes that repeat: 4 stable, 0 unstable" in capsys.readouterr().out
-    expected, ds = open_dataset(folder / "with.nc"), open_dataset(out)
-    assert set(ds.data_vars) == set(expected.data_vars)
-    for name in expected.data_vars:
-        np.testing.assert_array_equal(ds[name], expected[name], name)
 
 
 def test_other_features_do_not_change():

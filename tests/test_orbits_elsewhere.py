@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from systems import BALL, IMPACT_OSCILLATOR, mass, one_state, oscillator_grazes, oscillator_orbits
+from systems import BALL, IMPACT_OSCILLATOR, mass, names_of, oscillator_grazes, oscillator_orbits
 
 import vibrojax as vj
-from vibrojax.io.variables import ORBIT_REASONS
 
 OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 R = 0.7
@@ -74,16 +73,6 @@ def test_section_during_sliding_has_multipliers_of_sliding_motion():
     )
     ds = vj.run_sweep({"scene": relay, "starts": [[0.3, 0.1]], "run": {"orbits": True}}, progress=False)
     assert ds.multiplier_abs.values.ravel() == pytest.approx([np.exp(-1.5 * np.pi), 0.0], abs=1e-8)
-
-
-@pytest.mark.long
-def test_no_motion_grazes_a_clock():
-    """Without events, the margin is that of the section, which the forcing crosses at its own rate."""
-    rate, period = lambda t, y, p: p["rate"] * (cos(p["w"] * t) - y["x"]), lambda p: 2 * np.pi / p["w"]
-    lag = one_state(rate, parameters={"w": 1.0, "rate": 2.0}, period=period)
-    run = {"settle": 40.0, "observe": 40.0, "orbits": True}
-    ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0]}, "run": run}, progress=False).squeeze()
-    assert ds.stable == 1 and ds.grazing_margin == 1.0
 
 
 @pytest.mark.long
@@ -155,10 +144,6 @@ ROTOR = vj.System("rotor", states=dict.fromkeys("csy", "1"), parameters={"growth
 """A rotor (c, s) that returns to its circle, with y' = growth y. Only y = 0 never leaves its plane."""
 
 
-def orbit_reason(lane):
-    return ORBIT_REASONS[int(lane.orbit_reason)]
-
-
 @pytest.fixture(scope="module")
 def doubled_lane():
     """Return a lane near an unstable 4-cycle, at least 15 s before it approaches its stable 8-cycle.
@@ -172,29 +157,24 @@ def doubled_lane():
 
 def test_unstable_orbit_near_lane_is_another_orbit(doubled_lane):
     own, early, late = doubled_lane
-    assert orbit_reason(early) == "another-orbit" and early.stable == -1
+    assert names_of(early, "orbit_reason") == ["another-orbit"] and early.stable == -1
     assert np.isnan(early.multiplier_abs).all() and np.isnan(early.orbit_x1) and early.orbit_cycles == 0
     for name in ("period", "impact_velocity", "impact_phase", "stick_fraction"):
         assert early[name] == own[name]
-    assert orbit_reason(late) == "found" and late.stable == 1 and late.orbit_cycles == 8
-
-
-def test_lane_near_unstable_orbit_has_no_error_bound(doubled_lane):
-    """The lane is 7e-5 from where it settles."""
-    own, early, late = doubled_lane
-    assert abs(own.impact_velocity / late.impact_velocity - 1) > 5e-5
+    assert names_of(late, "orbit_reason") == ["found"] and late.stable == 1 and late.orbit_cycles == 8
+    assert abs(own.impact_velocity / late.impact_velocity - 1) > 5e-5  # so far from where it settles: there is no bound
     assert np.isinf(early.error_estimate) and np.isinf(early.drift_estimate)
 
 
-@pytest.mark.parametrize(("y", "growth", "reason"), [(0.0, 1.0, "found"), (0.0, 0.1, "another-orbit")])
-def test_orbit_is_found_only_if_lane_would_have_left(y, growth, reason):
-    sweep = {"scene": ROTOR, "starts": [[1.0, 0.0, y]], "grid": {"growth": [growth]}, "unusual": True}
+@pytest.mark.parametrize(("growth", "reason"), [(1.0, "found"), (0.1, "another-orbit")])
+def test_orbit_is_found_only_if_lane_would_have_left(growth, reason):
+    sweep = {"scene": ROTOR, "starts": [[1.0, 0.0, 0.0]], "grid": {"growth": [growth]}, "unusual": True}
     lane = vj.run_sweep(sweep | {"run": {"orbits": True}}, progress=False).squeeze()
-    assert lane.cycles == 1 and orbit_reason(lane) == reason
+    assert lane.cycles == 1 and names_of(lane, "orbit_reason") == [reason]
     if reason == "found":
         assert lane.stable == 0 and lane.error_estimate < 1e-4
         np.testing.assert_allclose(lane.multiplier_abs[0], np.exp(growth * lane.period), rtol=1e-9)
-    elif y == 0:
+    else:
         assert np.isinf(lane.error_estimate)
 
 

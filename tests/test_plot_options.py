@@ -15,9 +15,6 @@ from vibrojax.cli import main
 from vibrojax.errors import InputError
 from vibrojax.measures.labels import SINGLE_IMPACT
 from vibrojax.pictures.chart import chart
-from vibrojax.pictures.draw import draw
-from vibrojax.pictures.layout import in_width
-from vibrojax.pictures.plots import Plot, Sheet, dots, key
 from vibrojax.pictures.selection import select
 from vibrojax.studies.choose import picture, requested
 
@@ -144,27 +141,6 @@ def test_command_does_not_replace_other_pictures(written, capsys):
     assert written.with_name("map-magma.png").read_bytes() == b"of something else"
 
 
-def test_short_legend_does_not_narrow_the_panels():
-    """A legend of one entry is below the panel, which has the width of the sheet; one of the panel's height is not."""
-    for count, sides in ((1, (0.0, 0.5)), (20, (0.5, 1.0))):
-        keys = [[key(f"the entry of a legend {k}") for k in range(count)]]
-        figure = draw(Sheet([Plot([dots([0, 1], [0, 1])])], (5.0, 4.0), keys=keys))
-        figure.draw_without_rendering()
-        low, high = sides
-        assert low <= figure.legends[0].get_window_extent().x0 / figure.bbox.width <= high
-
-
-@pytest.mark.parametrize(
-    "grid", [{"k3": [1e8, 3e8], "force": [1e5, 2e5, 3e5], "frequency": np.linspace(10, 40, 9)}, None]
-)
-def test_narrow_sheet_has_no_empty_place(grid):
-    """Of three panels in a row, the last one has the width of a journal's column; three maps are below each other."""
-    sheet = in_width(sheet_of(rock(grid) if grid else lanes(square(8), ("drive",))), 85 / 25.4)
-    assert sum(plot.span[2] * plot.span[3] for plot in sheet.plots) == len(sheet.heights) * len(sheet.widths)
-    widths = {plot.span[3] / len(sheet.widths) for plot in sheet.plots}
-    assert widths == ({0.5, 1.0} if grid else {1.0})
-
-
 def test_campbell_shows_blows_that_differ_from_decided_returns():
     """Returns at 4 Hz: one blow each, two blows, and an undecided lane that has none."""
     table = {"regime": [3, 4, 0], "period": [0.25] * 3, "cycles": [1.0] * 3, "impacts": [1.0, 2.0, 0.0]}
@@ -203,13 +179,3 @@ def test_star_of_chart_is_robust_within_the_map():
     assert np.array_equal(first[0].values, energy) and len(scales(sheet)) == 3  # each quantity has its colour bar
     assert "Best robust cell, by impact energy at worst within the tolerance: gamma = 0.6, beta = 0.6" in sheet.note
     assert sheet.title.startswith("Designer's chart")
-
-
-def test_chart_ends_one_cell_beyond_the_single_impacts():
-    where = np.zeros((9, 9), bool)
-    where[3:6, 2:7] = True
-    table = {"regime": np.where(where, SINGLE_IMPACT, 6), "impact_energy": 1.0 + where, "blow_frequency": 1.0 + where}
-    grid = np.arange(1.0, 10.0)
-    ds = xr.Dataset({k: (("beta", "gamma"), v) for k, v in table.items()}, {"beta": grid, "gamma": grid})
-    shown = chart(ds).plots[0].layers[0]
-    assert shown.values.shape == (5, 7) and (shown.x[0], shown.y[0]) == (1.5, 2.5)

@@ -16,13 +16,12 @@ from vibrojax.errors import InputError
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.io.variables import REGIMES
 from vibrojax.pictures.axes import broken_title, value_text
-from vibrojax.pictures.branches import branches, places, stability, stable_intervals
+from vibrojax.pictures.branches import branches, stability, stable_intervals
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.colours import REGIME_COLOURS
 from vibrojax.pictures.contents import Contents, returns_in
 from vibrojax.pictures.draw import draw
 from vibrojax.pictures.hole import pulses
-from vibrojax.pictures.maps import region
 from vibrojax.pictures.motion import states_over_time, trajectory
 from vibrojax.pictures.plots import Area, Bars, Points, Text
 from vibrojax.pictures.returns import bifurcation
@@ -149,7 +148,6 @@ OTHERS = {
     "map-of-many": lambda: lanes(square(3, v=[0.5, 1.0], delta=[-0.005, 0.0, 0.005])),
     "points": drawn.points,
     "phase-planes": lambda: drawn.basin(drawn.sample()),
-    "rock-points": drawn.rock_points,
     "rock-of-one": lambda: drawn.rock({}),
     "law-of-one": lambda: drawn.law({}),
     "law-of-many": lambda: drawn.law(
@@ -187,8 +185,6 @@ def test_other_contents_are_drawn_without_overlap(name):
 
 
 def test_rules_depend_on_contents():
-    grid = {"beta": np.linspace(0.2, 0.9, 9), "gamma": np.linspace(0.5, 0.9, 9)}
-    assert first_rule(drawn.drill(grid)) == "regime_grid"
     assert first_rule(drawn.law({"group": np.arange(12)}).drop_vars("group")) == "law_lines"
     assert first_rule(xr.Dataset({"threshold": 1.0})) is None
     with pytest.raises(InputError, match="nothing to draw"):
@@ -317,15 +313,6 @@ def test_unusual_runs_are_drawn_or_refused():
             trajectory(ds)
 
 
-def test_best_region_is_open_where_the_map_cuts_it():
-    gamma, beta = (
-        xr.DataArray(ends, dims=name, name=name) for name, ends in (("gamma", [0.5, 0.7]), ("beta", [0.1, 0.9]))
-    )
-    (line,) = region(gamma, beta)
-    np.testing.assert_array_equal(line.x, [0.6, 0.7, np.nan, 0.7, 0.6, 0.6])
-    np.testing.assert_array_equal(line.y, [0.25, 0.25, np.nan, 0.6, 0.6, 0.25])
-
-
 def test_states_jump_at_impacts_between_samples():
     """x = 1 - |t - 10.3| hits a stop at x = 1: the velocity jumps and the marker lies there, beside a section."""
     time = np.arange(32.0)
@@ -357,20 +344,6 @@ def test_branches_have_stability_and_special_points():
         ds["stable"][{"point": first.points[ds["gamma"].values[first.points] == 0.9]}] = side
         changes = ds["gamma"].values[first.points][1:-1][np.diff(stability(ds, first)) != 0]
         assert changes.tolist() == [0.9, 0.5]
-    between = (ds["branch"] == 0) & (ds["gamma"] > 0.5) & (ds["gamma"] < 0.9)
-    bare, critical = ds.isel(point=~between.values), np.isin(ds["gamma"].values[~between.values], (0.5, 0.9))
-    bare["stable"][{"point": critical}] = 0
-    bare["multiplier_abs"][{"point": critical, "multiplier": 0}] = 1.0 + 1e-8
-    assert stable_intervals(bare, next(branches(bare))) == [down]
-    bare["multiplier_abs"][{"point": critical, "multiplier": 0}] = 2.0
-    assert not stable_intervals(bare, next(branches(bare)))
-    sheets = one_family(high=0.8).isel(point=slice(0, 19))
-    sheets["gamma"][{"point": 0}] = 0.8
-    first = next(branches(sheets))
-    indices = places(sheets, first)
-    at_end = sheets["special_value"].values[first.special] == 0.8
-    ends = indices[at_end & (sheets["special_kind"].values[first.special] == drawn.END)]
-    assert len(set(ends.tolist())) == 2
 
 
 def test_families_are_laid_over_returns_within_the_axis():

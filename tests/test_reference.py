@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from systems import names_of
 
 import vibrojax as vj
 
@@ -54,11 +55,6 @@ def read(name):
     return cases, vj.run_sweep(sweep, progress=False)
 
 
-def regimes(dataset):
-    """Return the names of the regimes."""
-    return [dataset.regime.attrs["flag_meanings"].split()[flag] for flag in dataset.regime.values]
-
-
 def errors(cases, dataset, name):
     """Return the deviations from the reference by case, where the quantity is defined."""
     deviations = {}
@@ -101,7 +97,7 @@ def hard_cases():
 
 def test_regimes(usual_cases):
     cases, dataset = usual_cases
-    for index, (case, regime) in enumerate(zip(cases, regimes(dataset), strict=True)):
+    for index, (case, regime) in enumerate(zip(cases, names_of(dataset), strict=True)):
         if index == BURSTS:
             assert regime in ("irregular", "undecided")
             assert dataset.cycles[index] == 0
@@ -135,6 +131,6 @@ def test_error_estimate_bounds_the_error(usual_cases):
 
 def test_hard_cases(hard_cases):
     cases, dataset = hard_cases
-    assert regimes(dataset) == [case["expected"]["regime"] for case in cases]
+    assert names_of(dataset) == [case["expected"]["regime"] for case in cases]
     check_counts(cases, dataset)
     check_bounds(cases, dataset, HARD)

@@ -140,18 +140,6 @@ def test_own_system_agrees_with_closed_form():
     assert s.d_period.values == pytest.approx([-2 * np.pi / point["w"] ** 2, 0], abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("given", "reason"),
-    [
-        ({"beta": 0.601, "gamma": 0.818}, "no-orbit"),  # irregular
-        ({"delta": 0.5}, "undefined"),  # no impact
-    ],
-)
-def test_point_without_derivative_has_reason(given, reason):
-    s = at_point(of=["impact_velocity"], by=["v"], **DRILL | given)
-    assert DERIVATIVE_REASONS[int(s.reason)] == reason and s["valid"] == 0 and s.d_impact_velocity.isnull().all()
-
-
 def test_wrong_points_are_refused():
     for given, message in (
         ({"of": ["peroid"]}, 'of: the scene has no "peroid" to differentiate; did you mean "period"'),
@@ -159,20 +147,3 @@ def test_wrong_points_are_refused():
     ):
         with pytest.raises(InputError, match=message):
             at_point(**given)
-
-
-@pytest.mark.long
-def test_derivatives_of_grazing_margin_of_own_system():
-    """The margin is a ratio, so that no unit of length or of time changes it; central differences confirm its slope."""
-    p, h = {name: parameter.default for name, parameter in IMPACT_OSCILLATOR.parameters().items()}, 1e-5
-    rows = [p, p | {"w": p["w"] + h}, p | {"w": p["w"] - h}]
-    points = {name: [row[name] for row in rows] for name in p}
-    run = {"settle": 400.0, "observe": 100.0}
-    sweep = {"scene": IMPACT_OSCILLATOR, "points": points, "starts": [[0.0, 0.0]], "run": run}
-    ds = vj.sensitivity(sweep, by=list(p), progress=False).squeeze("start")
-    margin, up, down = ds.grazing_margin.values
-    slopes = {name: ds.d_grazing_margin.sel(parameter=name).values[0] * p[name] for name in p}
-    assert margin > 0.1 and abs(slopes["a"]) > 0.1
-    assert slopes["a"] + slopes["stop"] == pytest.approx(0.0, abs=1e-8)
-    assert slopes["w"] + slopes["damping"] + 2 * (slopes["stiffness"] + slopes["a"]) == pytest.approx(0.0, abs=1e-8)
-    assert slopes["w"] / p["w"] == pytest.approx((up - down) / (2 * h), rel=1e-6)

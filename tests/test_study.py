@@ -25,15 +25,12 @@ STUDY = {
 }
 
 
-def ishigami(x, a=7.0, b=0.1):
-    return np.sin(x[:, 0]) + a * np.sin(x[:, 1]) ** 2 + b * x[:, 2] ** 4 * np.sin(x[:, 0])
-
-
 def test_indices_of_ishigami_function():
     """The variance is a²/8 + b pi⁴/5 + b² pi⁸/18 + 1/2 (Ishigami and Homma 1990)."""
     a, b, pi = 7.0, 0.1, np.pi
     own = Sampling(dict.fromkeys("abc", (-pi, pi)), 4096, seed=3)
-    results = indices(own, ishigami(own.points(), a, b))
+    x = own.points()
+    results = indices(own, np.sin(x[:, 0]) + a * np.sin(x[:, 1]) ** 2 + b * x[:, 2] ** 4 * np.sin(x[:, 0]))
     variance = a**2 / 8 + b * pi**4 / 5 + b**2 * pi**8 / 18 + 0.5
     first = np.array([(1 + b * pi**4 / 5) ** 2 / 2, a**2 / 8, 0.0]) / variance
     pair = 8 * b**2 * pi**8 / 225 / variance

@@ -57,19 +57,6 @@ def test_full_file_is_read_with_defaults(tmp_path):
     assert isinstance(sweep.run.settle, float)
 
 
-def test_lanes_run_in_row_major_order(tmp_path):
-    sweep = read_sweep(write_text(tmp_path, FULL))
-    values, starts = sweep.lane_values(0, sweep.lanes)
-    assert set(values) == set(sweep.system.parameters())
-    assert all(column.shape == (144,) and column.dtype == np.float64 for column in values.values())
-    mesh = np.meshgrid(*sweep.axes.values(), np.arange(2), indexing="ij")
-    for column, expected in zip((*(values[name] for name in sweep.axes), starts), mesh, strict=True):
-        np.testing.assert_array_equal(column.reshape(sweep.shape), expected)
-    part, part_starts = sweep.lane_values(17, 61)
-    assert all((part[name] == values[name][17:61]).all() for name in values)
-    assert (part_starts == starts[17:61]).all()
-
-
 def test_dict_and_its_text_give_same_sweep(tmp_path):
     tables = {
         "scene": "vibro-impact",
@@ -100,15 +87,6 @@ def test_identity_depends_only_on_what_is_computed():
 # rpm with bit_radius replaces v = 2 pi rpm/60 bit_radius
 
 SPEED = 2 * pi * 120 / 60 * 0.1
-
-
-def test_rotation_on_axis_gives_drive_speed():
-    grid = {"rpm": [60, 120], "beta": [0.4, 0.5]}
-    sweep = read_sweep({"scene": "rotary", "parameters": {"bit_radius": 0.1}, "grid": grid, "starts": ["drive"]})
-    assert sweep.dims == ("rpm", "beta", "start") and "v" not in sweep.parameters
-    values, _ = sweep.lane_values(0, 4)
-    assert values["v"] == pytest.approx([SPEED / 2, SPEED / 2, SPEED, SPEED])
-    assert set(values) == set(sweep.system.parameters()) and sweep.given == {"bit_radius": 0.1}
 
 
 # bit_frequency replaces k1 = m1 (2 pi bit_frequency)², striker_frequency gamma = striker_frequency/bit_frequency
@@ -212,12 +190,6 @@ def test_start_column_replaces_starts():
     values, starts = sweep.lane_values(1, 3)
     assert values["beta"].tolist() == [0.4, 0.5]
     assert [sweep.starts[index] for index in starts] == ["drive", "stuck"]
-
-
-def test_single_point_is_read_like_file():
-    point = read_point(Place("simulate"), "vibro-impact", {"rpm": 120, "bit_radius": 0.1, "friction": "coulomb"})
-    assert (point.options, point.start) == ({"friction": "coulomb"}, "drive")
-    assert point.parameters["v"] == pytest.approx(SPEED) and set(point.parameters) == set(point.system.parameters())
 
 
 # Samples of a box, planes of states and columns of points as starts

@@ -64,8 +64,6 @@ def test_zarr_output(file, expected):
     for _ in range(2):  # the second run replaces the first
         dataset = run_to_file(read_sweep(file), out, progress=False)
         assert_same(dataset, expected)
-    with pytest.raises(InputError, match=r"holds another result: parameters\.v was 1\.5, is 1\.2"):
-        run_to_file(read_sweep(file, ["v=1.2"]), out, progress=False)
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.zarr"}
 
 
