@@ -253,7 +253,7 @@ def names_in(x):
         first = [*equation.invars, *equation.outvars][equation.primitive.name == "select_n"]
         yield equation.primitive.name, str(first.aval.dtype)
         yield from names_in(tuple(equation.params.values()))
-    for part in x if isinstance(x, tuple) else (x.jaxpr,) if hasattr(x, "jaxpr") else ():
+    for part in x if isinstance(x, tuple) else ():
         yield from names_in(part)
 
 
