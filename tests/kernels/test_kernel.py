@@ -8,7 +8,7 @@ from jax import lax
 
 from vibrojax.compile import translation
 from vibrojax.compile.assembly import Untranslatable
-from vibrojax.compile.native import Kernel, kernel_for
+from vibrojax.compile.native import Kernel, kernel_for, trace
 
 RANDOM = np.random.default_rng(20)
 X, Y = RANDOM.normal(size=(2, 21))
@@ -99,6 +99,32 @@ def test_subnormal_numbers_are_kept():
 
     for result, correct in zip(run_kernel(function, x), function(x, np), strict=True):
         np.testing.assert_array_equal(result, correct)
+
+
+def put(rows, numbers, new, mode):
+    """Return rows in which each lane has replaced one."""
+    return jax.vmap(lambda rows, number, new: rows.at[number].set(new, mode=mode), -1, -1)(rows, numbers, new)
+
+
+def test_rows_are_replaced_in_a_loop(width):
+    """Rows are replaced in place, unless something else needs them."""
+
+    def function(rows, which, new):
+        def turn(k, carried):
+            rows, total = carried
+            after = put(rows, (which + k) % 7, new + 1.0 * k, "drop")
+            return after, total + rows[0] + after[0]
+
+        return lax.fori_loop(0, 30, turn, (rows, new))
+
+    rows = np.stack([X * k for k in range(7)] * 4)
+    assert_matches_xla(function, rows, np.arange(21) % 7, X)
+
+
+def test_bits_of_integers_need_no_instruction():
+    """With a conversion from i8 to i8, LLVM 22 omitted a later store."""
+    traced = trace(lambda x, bits: (x, lax.bitcast_convert_type(bits, jnp.int8)), X, np.uint8(3))
+    assert "bitcast" not in translation.kernel_text(traced.jaxpr, 8).text
 
 
 def collatz(n):

@@ -14,6 +14,7 @@ import pytest
 from jax import lax
 from jax.interpreters import ad
 
+from tests.kernels.test_kernel import put
 from vibrojax.compile import elementwise, native, rows, translation
 from vibrojax.compile.assembly import LLVM_TYPES
 from vibrojax.compile.native import Kernel, trace
@@ -46,11 +47,6 @@ FUNCTIONS = {
     "add_any": ad.add_jaxvals,
     "custom_vjp_call": less,
 }
-
-
-def put(rows, numbers, new, mode):
-    """Return rows in which each lane has replaced one."""
-    return jax.vmap(lambda rows, number, new: rows.at[number].set(new, mode=mode), -1, -1)(rows, numbers, new)
 
 
 class Program:
@@ -253,7 +249,7 @@ def names_in(x):
         first = [*equation.invars, *equation.outvars][equation.primitive.name == "select_n"]
         yield equation.primitive.name, str(first.aval.dtype)
         yield from names_in(tuple(equation.params.values()))
-    for part in x if isinstance(x, tuple) else (x.jaxpr,) if hasattr(x, "jaxpr") else ():
+    for part in x if isinstance(x, tuple) else ():
         yield from names_in(part)
 
 
