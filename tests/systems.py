@@ -4,6 +4,7 @@ from inspect import signature
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import vibrojax as vj
@@ -232,3 +233,28 @@ def ball_appears(R: float) -> float:
 def ball_doubles(R: float) -> float:
     """Return a/g at which its period doubles."""
     return float(np.hypot(ball_appears(R), 2 * (1 + R**2) / (1 + R) ** 2))
+
+
+SHAKEN = mass(
+    lambda t, y, p: cos(p["w"] * t) - 2 * p["zeta"] * y["v"] - y["x"],
+    vj.Friction("sliding", lambda t, y, p: y["v"], normal=lambda t, y, p: p["grip"], law=1.0, acts_on="v"),
+    name="shaken",
+    parameters={"grip": 0.5, "w": 1.5, "zeta": 0.1},
+    period=lambda p: 2 * np.pi / p["w"],
+)
+"""A mass on a spring, shaken against Coulomb friction: Den Hartog, Transactions of the ASME 53 (1931), 107; Shaw,
+Journal of Sound and Vibration 108 (1986), 305."""
+
+
+def friction_stops(w: float, zeta: float) -> float:
+    """Return the friction, relative to the amplitude of the force, above which the mass of `SHAKEN` stops at its
+    turning points.
+
+    In the half cycle from x0 to -x0, the distance z from the forced oscillation satisfies z(T/2) = M z(0), and the
+    friction displaces the equilibrium. The amplitude follows from the half cycle. It is also the amplitude at which the
+    force just overcomes twice the friction where the mass turns.
+    """
+    half = expm(np.array([[0.0, 1.0], [-1.0, -2 * zeta]]) * np.pi / w)
+    g, h = np.linalg.solve(np.eye(2) + half, (np.eye(2) - half)[:, 0])
+    amplitude = (1 + (1 - w**2) * g + 2 * zeta * h) / w**2  # relative to the friction
+    return float(1 / abs(complex(1 - w**2, 2 * zeta * w)) / np.hypot(amplitude + g, h / w))

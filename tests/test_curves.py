@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from scipy.optimize import brentq
-from systems import IMPACT_OSCILLATOR, oscillator_doubles, oscillator_grazes, oscillator_orbits
+from systems import IMPACT_OSCILLATOR, SHAKEN, friction_stops, oscillator_doubles, oscillator_grazes, oscillator_orbits
 from test_follow import eigenvalue
 
 import vibrojax as vj
@@ -140,3 +140,21 @@ def test_hopf_points_follow_linear_stability_of_sliding():
     assert len(rates) > 10 and np.abs(rates).max() < 1e-8
     exact = brentq(lambda gamma: eigenvalue(gamma, 0.45, v).real, 0.8, high, xtol=1e-15)
     assert ds.crossing_gamma.values == pytest.approx([exact], abs=1e-10)
+
+
+@pytest.mark.long
+def test_stops_against_friction_follow_published_boundary():
+    """Compare with the diagram of Den Hartog (1931), and with viscous damping of Shaw (1986)."""
+    onset = friction_stops(1.5, 0.1)
+    moving = vj.follow(SHAKEN, along="grip", at=0.9 * onset, span=(0.3, 0.85), cycles=1, progress=False)
+    kinds = moving.special_kind.values == SPECIAL_KINDS.index("stick")
+    # Both turning points begin to stick at the same value.
+    assert np.abs(moving.special_value.values[kinds] - onset).max() < 1e-9
+    ds = vj.curves(moving, by="w", span=(1.0, 2.5), at={"w": 2.0}, progress=False)
+    curve = points_of_kind(ds, "stick")
+    exact = [friction_stops(float(w), 0.1) for w in curve.w]
+    assert np.abs(curve.grip.values - exact).max() < 1e-9
+    assert "multipliers of one side" in ds.multiplier_abs.attrs["comment"]
+    assert ds.crossing_grip.values == pytest.approx([friction_stops(2.0, 0.1)], abs=1e-10)
+    # Den Hartog's closed form has no damping.
+    assert friction_stops(1.5, 0.0) == pytest.approx(0.8 / np.hypot(np.sqrt(3) / 1.5, 1 / 2.25), rel=1e-12)

@@ -1,10 +1,13 @@
 """Test designs against finer maps, repeated simulations and slopes; also the command, refusals and mutated designs."""
 
+import json
+
 import numpy as np
 import pytest
 from refusals import refusal
 
 import vibrojax as vj
+from vibrojax.cli import main
 from vibrojax.measures.labels import REGIMES
 from vibrojax.settings.toml import bundled_names
 from vibrojax.studies.design_requirements import Assessment, infeasibility, read_design
@@ -140,3 +143,17 @@ def test_bad_and_infeasible_designs_are_refused_in_one_line(change, line):
     given = {name: x for name, x in (DESIGN | change).items() if x is not None}
     text = refusal(vj.design, given, progress=False)
     assert text.startswith("design: ") and line in text
+
+
+def test_command_writes_dataset_and_picture(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text(
+        'scene = "vibro-impact"\nmaximise = "impact_power"\nstarts = ["stuck"]\nparameters = { delta = 0.005 }\n'
+        'vary = { gamma = [0.7, 0.75] }\nsubject = { regime = "single-impact", peak_impact_force = { most = 1e6 } }\n'
+        "run = { settle = 25, observe = 6 }\nrobust = true\ntolerance = { gamma = 1e-4 }\n"
+    )
+    assert main(["design", "mine.toml", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["design"]["at"]["gamma"] == pytest.approx(0.7)
+    assert list(facts["design"]["subject"]) == ["peak_impact_force"]
+    assert (tmp_path / "mine-design.png").is_file() and main(["info", "mine-design.nc"]) == 0

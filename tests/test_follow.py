@@ -168,3 +168,23 @@ def test_rock_begins_to_yield_at_force_of_linear_response():
     assert (family.rate_of_penetration.values[family.force.values > onset + 1.0] > 0).all()
     [note] = family.special_note.values[family.special_kind.values == SPECIAL_KINDS.index("grazing")]
     assert "rock" in note
+
+
+def test_lanes_near_orbits_stay_only_if_orbits_are_stable():
+    """The sweep knows nothing of multipliers or special points."""
+    fixed = {"beta": 0.42898650763, "v": 0.98543234207, "delta": -0.005}
+    family = follow_drill(along="gamma", at=0.7325685905, span=(0.3, 1.2), start="drive", cycles=1, **fixed)
+    hyperbolic = family.isel(point=np.abs(family.multiplier_abs[:, 0].values - 1) > 0.03)
+    count = hyperbolic.sizes["point"]
+    points = {name: [value] * count for name, value in fixed.items()} | {"gamma": hyperbolic.gamma.values.tolist()}
+    points |= {"start_x1": hyperbolic.orbit_x1.values.tolist(), "start_v1": [0.0] * count}
+    points |= {
+        "start_x2": (hyperbolic.orbit_x2.values + 1e-6).tolist(),
+        "start_v2": hyperbolic.orbit_v2.values.tolist(),
+    }
+    run = {"settle": 120.0, "end_early": False}
+    lanes = vj.run_sweep({"scene": "vibro-impact", "points": points, "run": run, "unusual": True}, progress=False)
+    stays = np.abs(lanes.period.values / hyperbolic.period.values - 1) < 1e-6
+    stays &= (lanes.cycles.values == 1) & (lanes.impacts.values == hyperbolic.impacts.values)
+    np.testing.assert_array_equal(stays, hyperbolic.stable.values == 1)
+    assert stays.any()

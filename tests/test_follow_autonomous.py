@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from systems import VAN_DER_POL, lorenz, mass, names_of, one_state
+from systems import IMPACT_OSCILLATOR, VAN_DER_POL, lorenz, mass, names_of, one_state
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -314,3 +314,124 @@ def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
     assert sorted(circles.orbit_z.values[last]) == pytest.approx([-(1.5**0.5), 1.5**0.5], abs=1e-8)
     with pytest.raises(vj.InputError, match="outside the span"):
         vj.follow(system, from_hopf=family, span=(0.2, 0.5), progress=False)
+
+
+GEAR = vj.System(
+    "gear",
+    states={"x": "1", "v": "1"},
+    parameters={"om": 1.5, "fa": 0.2},
+    field=lambda t, y, p, s: {
+        "x": y["v"],
+        "v": 0.2 + p["fa"] * E.cos(p["om"] * t) - 0.1 * y["v"] - 0.5 * (s["right"] + 1) * (y["x"] - 1),
+    },
+    period=lambda p: 2 * np.pi / p["om"],
+    events=[vj.Switch("right", lambda t, y, p: y["x"] - 1)],
+)
+
+
+def kinds_of_points(family):
+    """Return the kind of each special point."""
+    return np.array(family.special_kind.attrs["flag_meanings"].split())[family.special_kind.values]
+
+
+def test_small_forced_motion_goes_on():
+    """The amplitude of a forced motion below the stop is proportional to the force, however small."""
+    begin = {"at": 0.05, "span": (1e-6, 0.06), "start": [0.0, 0.0], "cycles": 1}
+    family = vj.follow(IMPACT_OSCILLATOR, along="a", w=0.9, progress=False, **begin)
+    assert kinds(family) == {"end"} and family.special_value.values.min() == pytest.approx(1e-6)
+    ratio = family.orbit_x.values / family.a.values
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
+
+
+@pytest.mark.long
+def test_mirrored_branch_points_are_all_followed():
+    """Two pitchforks at m = 0 and 1 that do not act upon each other have nine equilibria."""
+
+    def field(t, y, p):
+        return {"x": p["m"] * y["x"] - y["x"] ** 3, "y": (p["m"] - 1) * y["y"] - y["y"] ** 3}
+
+    _, family = rests({"x": "1", "y": "1"}, field, -0.5, (-1.0, 2.0))
+    last = family.m.values == 2.0
+    ends = np.round(np.column_stack([family.orbit_x.values, family.orbit_y.values])[last] / [2**0.5, 1.0], 9) + 0.0
+    assert {tuple(x) for x in ends.tolist()} == {(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)}
+    assert [value for _, value in points(family, "branch-point")] == pytest.approx([0.0, 1.0, 1.0, 1.0], abs=1e-9)
+
+
+@pytest.mark.long
+def test_points_and_curves_bear_the_names_of_switches():
+    """Teeth of a gear touch on one side, and part: nothing sticks."""
+    settled = {"start": [1.2, 0.0], "settle": 150.0, "observe": 30.0, "cycles": 1, "progress": False}
+    family = vj.follow(GEAR, along="om", at=1.43, span=(1.4, 1.44), **settled)
+    assert kinds(family) == {"right", "end"}
+    linear = 1.2 - 0.2 / np.hypot(1 - 1.41067**2, 0.141067)  # the teeth just part at the amplitude 0.2
+    assert points(family, "right") == [(0, pytest.approx(1.41067, abs=1e-5))] and linear == pytest.approx(1.0, abs=1e-5)
+    curves = vj.curves(family, by="fa", span=(0.1, 0.3), progress=False)
+    assert np.array(curves.kind.attrs["flag_meanings"].split())[curves.kind.values].tolist() == ["right"]
+
+
+def brusselator(t, y, p):
+    """Return the rates, where the states are relative to the equilibrium (A, B/A)."""
+    u, w = p["A"] + y["u"], p["B"] / p["A"] + y["w"]
+    return {"u": p["A"] + u * u * w - (p["B"] + 1) * u, "w": p["B"] * u - u * u * w}
+
+
+def predators(t, y, p):
+    fish, sharks = y["fish"], y["sharks"]
+    caught = p["quota"] * (1 - E.exp(-5 * fish))
+    return {"fish": 3 * fish * (1 - fish) - fish * sharks - caught, "sharks": -sharks + 3 * fish * sharks}
+
+
+def planar(name, states, parameters, field, section):
+    return vj.System(name, states=dict.fromkeys(states, "1"), parameters=parameters, field=field, section=section)
+
+
+BRUSSELATOR = planar("Brusselator", ("u", "w"), {"A": 1.0, "B": 3.0}, brusselator, "u")
+
+
+PREDATORS = planar("predators", ("fish", "sharks"), {"quota": 0.7}, predators, ("fish", 1 / 3))
+
+
+def follow(system, **settings):
+    return vj.follow(system, progress=False, **{"cycles": 1} | settings)
+
+
+def sorted_points(family):
+    """Return kind and parameter value of the special points, in the order of the values."""
+    return sorted(zip(kinds_of_points(family), family.special_value.values, strict=True), key=lambda point: point[1])
+
+
+@pytest.mark.long
+def test_planar_flows_have_no_invented_points():
+    """The Brusselator's Hopf points are at B = 1 + A². Multipliers of planar flows are positive."""
+    family = follow(BRUSSELATOR, along="B", at=3.0, span=(1.5, 3.5), start=[0.3, 0.0], A=[0.9, 1.1])
+    assert len(sorted_points(family)) == 4
+    for number, a in enumerate((0.9, 1.1)):
+        (first, place), last = sorted_points(family.isel(special=family.special_family.values == number))
+        assert (first, last) == ("hopf", ("end", 3.5)) and place == pytest.approx(1 + a * a, abs=1e-9)
+    assert (family.multiplier_arg.values == 0).all() and (
+        family.stable.values[family.multiplier_abs[:, 0] < 0.99] == 1
+    ).all()
+
+
+@pytest.mark.long
+def test_predators_and_prey_end_at_zero_amplitude_and_at_long_periods():
+    family = follow(PREDATORS, along="quota", at=0.7, span=(0.5, 0.8), start=[0.35, 0.3], settle=500.0, observe=200.0)
+    (first, place), (last, long) = sorted_points(family)
+    far = np.exp(-5 / 3)
+    assert (first, last) == ("hopf", "end") and place == pytest.approx(1 / (3 * (1 - far) - 5 * far), abs=1e-9)
+    begin = {"states": [1 / 3, float(family.orbit_sharks[2])], "period": float(family.period[2])}
+    again = follow(PREDATORS, along="quota", at=float(family.quota[2]), span=(0.5, 0.68), orbit=begin)
+    assert sorted_points(again)[0][1] == pytest.approx(place, abs=1e-9)  # the section is at a level of fish
+    # Orbits approach the saddle at which one of the species is extinct, and their periods grow without limit.
+    assert family.period.values[np.abs(family.quota.values - long).argmin()] > 50
+    assert all(family.special_note.values)
+
+
+@pytest.mark.long
+def test_hopf_points_of_a_system_without_events_are_continued():
+    """The Brusselator's Hopf points are at B = 1 + A²."""
+    family = follow(BRUSSELATOR, along="B", at=2.5, span=(1.5, 3.0), start=[0.3, 0.0], A=1.0)
+    curves = vj.curves(family, by="A", span=(0.8, 1.2), at={"A": 0.9}, progress=False)
+    np.testing.assert_allclose(curves.B, 1 + curves.A**2, atol=1e-9)
+    assert curves.A.values.min() == 0.8 and curves.A.values.max() == 1.2
+    assert curves.crossing_B.values == pytest.approx([1.81], abs=1e-10)

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.optimize import brentq
+from scipy.optimize import brentq, fsolve
 from systems import (
     BALL,
     IMPACT_OSCILLATOR,
@@ -257,3 +257,29 @@ def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():
     assert special_values(family, "period-doubling") == pytest.approx([doubles], abs=1e-10)
     assert len(special_values(family, "fold")) == len(special_values(family, "grazing")) == 1
     assert special_values(family, "end").tolist() == [1.0]
+
+
+def test_family_goes_on_where_an_impact_passes_the_section():
+    """At r = 0.928 the mass leaves the right wall as the period begins. The symmetric orbit is known in closed form."""
+    family = vj.follow(WALLS, along="r", at=0.8, span=(0.8, 0.95), start=[0.0, 0.0], d=0.5, cycles=1, progress=False)
+    last = family.isel(point=int(family.r.values.argmax()))
+    (passed,), X, decay, half = (
+        special_values(family, "section"),
+        1 / (0.19 + 0.054j),
+        -0.03 + 1j * 0.9991**0.5,
+        np.pi / 0.9,
+    )
+
+    def misses(unknown):
+        """From the right wall, half a period leads to the left one, with the speed of the impact before."""
+        force, speed = X * np.exp(1j * unknown[0]), unknown[1]
+        free = np.linalg.solve(
+            [[1.0, 0.0], [decay.real, -decay.imag]], [0.5 - force.real, -r * speed + 0.9 * force.imag]
+        )
+        free = (free[0] + 1j * free[1]) * np.exp(decay * half)
+        return free.real - force.real + 0.5, (decay * free).real + 0.9 * force.imag + speed
+
+    for r, found in ((0.8, family.isel(point=int(family.r.values.argmin()))), (0.95, last)):
+        [_, speed], _, end, _ = fsolve(misses, [0.0, float(found.impact_velocity)], xtol=1e-13, full_output=True)
+        assert end == 1 and float(found.r) == r and float(found.impact_velocity) == pytest.approx(speed, rel=1e-9)
+    assert 0.92 < passed < 0.93 and float(last.orbit_v) > 0

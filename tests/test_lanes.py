@@ -19,7 +19,7 @@ from vibrojax.io.dataset import open_dataset
 from vibrojax.maps import dataset as joining
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep, run_to_file
-from vibrojax.measures.labels import FAILED
+from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
@@ -264,3 +264,13 @@ def test_unsuitable_axis_is_refused_in_one_line():
         ({"carry": "gamma"}, {"grid": {"gamma": [0.7, 0.6]}}, "run.carry: the values of gamma do not rise"),
     ):
         assert line in refusal(read_sweep, MAP | tables | {"run": run})
+
+
+def test_hysteresis_between_directions(carried):
+    """At beta 0.4 and a gap of 5 mm, a single impact (carried down) coexists with an irregular motion (carried up)."""
+    assert (
+        carried.regime.dims == ("beta", "gamma", "v", "direction") and "gamma" in carried.direction.attrs["long_name"]
+    )
+    at_gap = carried.sel(beta=0.4, gamma=[0.7, 0.75], v=1.5)
+    assert (at_gap.regime.sel(direction="up") == IRREGULAR).all()
+    assert (at_gap.regime.sel(direction="down") == SINGLE_IMPACT).all()

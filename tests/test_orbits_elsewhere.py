@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from systems import BALL, IMPACT_OSCILLATOR, mass, names_of, oscillator_grazes, oscillator_orbits
+from systems import BALL, IMPACT_OSCILLATOR, mass, names_of, one_state, oscillator_grazes, oscillator_orbits
 
 import vibrojax as vj
 
@@ -242,3 +242,20 @@ def test_two_masses_that_meet_their_stops_at_one_instant():
     assert ds.impact_velocity.item() == pytest.approx(orbit.speed, rel=1e-8)
     assert np.prod(moduli) == pytest.approx(np.prod(np.abs(orbit.multipliers)) ** 2, rel=1e-6)
     assert np.abs(moduli - abs(orbit.multipliers[0])).max() < 1e-6
+
+
+@pytest.mark.long
+def test_no_motion_grazes_a_clock():
+    """Without events, the margin is that of the section, which the forcing crosses at its own rate."""
+    rate, period = lambda t, y, p: p["rate"] * (cos(p["w"] * t) - y["x"]), lambda p: 2 * np.pi / p["w"]
+    lag = one_state(rate, parameters={"w": 1.0, "rate": 2.0}, period=period)
+    run = {"settle": 40.0, "observe": 40.0, "orbits": True}
+    ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0]}, "run": run}, progress=False).squeeze()
+    assert ds.stable == 1 and ds.grazing_margin == 1.0
+
+
+def test_lane_near_unstable_orbit_has_no_error_bound(doubled_lane):
+    """The lane is 7e-5 from where it settles."""
+    own, early, late = doubled_lane
+    assert abs(own.impact_velocity / late.impact_velocity - 1) > 5e-5
+    assert np.isinf(early.error_estimate) and np.isinf(early.drift_estimate)

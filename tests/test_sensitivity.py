@@ -147,3 +147,15 @@ def test_wrong_points_are_refused():
     ):
         with pytest.raises(InputError, match=message):
             at_point(**given)
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"beta": 0.601, "gamma": 0.818}, "no-orbit"),  # irregular
+        ({"delta": 0.5}, "undefined"),  # no impact
+    ],
+)
+def test_point_without_derivative_has_reason(given, reason):
+    s = at_point(of=["impact_velocity"], by=["v"], **DRILL | given)
+    assert DERIVATIVE_REASONS[int(s.reason)] == reason and s["valid"] == 0 and s.d_impact_velocity.isnull().all()

@@ -264,3 +264,14 @@ def test_periods_and_multiplier_of_van_der_pol():
     exponent = solve_ivp(rates, (0.0, AT_ONE), [*settled, 0.0], rtol=1e-12, atol=1e-14, method="DOP853").y[2, -1]
     assert exponent == pytest.approx(-7.0589, abs=1e-3)
     assert float(ds.multiplier_abs[1, 0, 0]) == pytest.approx(np.exp(exponent), rel=1e-6)
+
+
+def test_resting_ball_leaves_table_that_falls_faster():
+    """The table's downward acceleration reaches a w² = 1.5 g. The ball leaves where a w² cos(w t) = -g."""
+    a, w = 1.5 * 9.81 / (2 * np.pi) ** 2, 2 * np.pi
+    motion = vj.simulate(BALL, start=[-a, 0.0], a=a, r=0.0, duration=1.0, sampling=1e-3, error=1e-8, progress=False)
+    gap = motion.x.values + a * np.cos(w * motion.time.values)
+    leaves = np.arccos(-1 / 1.5) / w
+    flying = motion.time.values[gap > 1e-7]
+    assert flying[0] == pytest.approx(leaves, abs=2e-2) and flying[0] > leaves
+    assert np.abs(gap[motion.time.values < leaves]).max() < 1e-10  # accumulated errors of the steps

@@ -331,3 +331,79 @@ def test_slide_that_pauses_within_a_step():
     leaves, low = np.pi + np.arcsin(1 / 1.002), 1.5 * np.pi
     motion = vj.simulate(slide, start=[0.0], duration=2.5 * (low - 3.0), sampling=(low - 3.0) / 100, progress=False)
     assert float(motion.x[100]) == pytest.approx(1.002 * (np.cos(leaves) - np.cos(low)) + low - leaves, abs=1e-9)
+
+
+def test_start_on_the_surface_of_a_reset():
+    """x'' = -x begins at x = 1, where v becomes -0.8 v. With v > 0 it does so at once, though the spring alone would
+    bring the mass back soon; with v < 0, where the mass returns after 2 pi - 2 arctan(-v)."""
+    wall = vj.Impact("wall", gap=lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"v": -p["r"] * y["v"]})
+    system = mass(lambda t, y, p: -y["x"], wall, parameters={"r": 0.8})
+    assert ends(system, [1.0, 0.1], 1.0)[0] == pytest.approx(np.cos(1.0) - 0.08 * np.sin(1.0), abs=1e-8)
+    after = 8.0 - (2 * np.pi - 2 * np.arctan(0.5))
+    right = [np.cos(after) - 0.4 * np.sin(after), -np.sin(after) - 0.4 * np.cos(after)]
+    assert ends(system, [1.0, -0.5], 8.0) == pytest.approx(right, abs=1e-8)
+
+
+@pytest.mark.long
+def test_friction_and_a_switch_on_one_velocity_hold_one_at_a_time():
+    """v' = f + 2 below v = 1 and f - 2 above, with friction 1 and f = -t/4: v slides at 1, falls, sticks and reverses.
+
+    The mass slips at once and reaches v = t - t²/8 = 1 at 4 - sqrt(8). It slides until f = -1 at 4, stops sqrt(8)
+    later, and sticks until f = -3 at 12.
+    """
+    system = vj.System(
+        "limited",
+        states={"x": "m", "v": "m s-1", "f": "m s-2"},
+        parameters={"limit": 1.0},
+        field=lambda t, y, p, s: {"x": y["v"], "v": y["f"] - 2.0 * s["above"], "f": -0.25},
+        events=[
+            vj.Switch("above", lambda t, y, p: y["v"] - p["limit"]),
+            vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=1.0, acts_on="v"),
+        ],
+    )
+    motion = vj.simulate(system, start=[0.0, 0.0, 0.0], duration=14.0, progress=False)
+    first, fall = 4 - np.sqrt(8), np.sqrt(8)
+    x = first**2 / 2 - first**3 / 24 + (4 - first) + fall - fall**3 / 24 - 2**3 / 24
+    assert [float(motion[name][-1]) for name in ("x", "v")] == pytest.approx([x, -0.5], abs=1e-8)
+    assert events_of(motion, "slide") == pytest.approx([first], abs=1e-8)
+    assert events_of(motion, "stick") == pytest.approx([4 + fall], abs=1e-8)
+
+
+@pytest.mark.long
+def test_relay_feedback_with_section_on_the_switch():
+    """The relay -sgn(x) with the plant 1/(s + 1)³. The multipliers of its cycle are published."""
+    relay = vj.System(
+        "relay",
+        states={"x": "1", "y": "1", "z": "1"},
+        parameters={"k": 1.0},
+        section="x",
+        field=lambda t, y, p, s: {
+            "x": y["y"],
+            "y": y["z"],
+            "z": -3 * y["z"] - 3 * y["y"] - y["x"] - p["k"] * s["relay"],
+        },
+        events=[vj.Switch("relay", lambda t, y, p: y["x"])],
+    )
+    ds = vj.run_sweep(
+        {"scene": relay, "starts": [[0.3, 0.0, 0.0]], "grid": {"k": [1.0]}, "run": {"orbits": True}}, progress=False
+    )
+    assert int(ds.cycles[0, 0]) == 1
+    assert ds.multiplier_abs.values.ravel() == pytest.approx([0.147449, 1.089e-4], abs=5e-7)
+
+
+def test_thermostat_with_discrete_state():
+    """T' = 15 h - (T - 10), h off at 22 and on at 18: the period is ln(7/3) + ln(12/8)."""
+    thermostat = vj.System(
+        "thermostat",
+        states={"T": "1"},
+        parameters={"k": 1.0},
+        modes={"heating": 1},
+        section=("T", 20.0),
+        field=lambda t, y, p, s: {"T": 15 * s["heating"] - p["k"] * (y["T"] - 10)},
+        events=[
+            vj.Impact("off", gap=lambda t, y, p: 22 - y["T"], reset=lambda t, y, p, s: {"heating": 0}),
+            vj.Impact("on", gap=lambda t, y, p: y["T"] - 18, reset=lambda t, y, p, s: {"heating": 1}),
+        ],
+    )
+    motion = vj.simulate(thermostat, start=[20.0], duration=6.0, error=1e-8, progress=False)
+    assert np.diff(events_of(motion, "impact"))[:4] == pytest.approx(np.log([1.5, 7 / 3] * 2), abs=1e-8)

@@ -13,7 +13,7 @@ from typing import Any
 
 from vibrojax.errors import InputError, shown
 from vibrojax.lazy import jnp, lax
-from vibrojax.physics.arrays import Array, keep
+from vibrojax.physics.arrays import Array, Real, keep
 from vibrojax.scenes.scene import Scene
 from vibrojax.stepping.event import Event, Landing, Trial, locate
 from vibrojax.stepping.polynomial import rough_root, slope
@@ -108,9 +108,7 @@ class Located(Stepper):
         """Return the event functions of a trial step; a subclass may let the motion pass some of their zeros."""
         return event, functions
 
-    def narrowed(
-        self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, reach: Array, tolerance: Array
-    ) -> Array:
+    def narrowed(self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, reach: Array, tolerance: Real) -> Array:
         """Return the part of a trial step of length `h` [s] over which all series have converged, at most `reach`."""
         return reach
 
@@ -172,9 +170,7 @@ class Varied(Located):
     shows how the masses swing against each other.
     """
 
-    def narrowed(
-        self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, reach: Array, tolerance: Array
-    ) -> Array:
+    def narrowed(self, scene: Scene[Any], constants: Any, lane: Lane, h: Array, reach: Array, tolerance: Real) -> Array:
         c, mode, state = lax.stop_gradient((constants, lane.mode, lane.state))
         begin, number = scene.small_changes(c, state), len(state)
         if not begin:
