@@ -242,6 +242,31 @@ def test_derivatives_along_a_history_agree_with_central_differences():
             np.testing.assert_allclose(slopes[0, :, k], (up - down) / (2 * step), atol=1e-7)
 
 
+def test_derivatives_along_a_history_resolve_changes_that_move_faster_than_the_motion():
+    """Two equal masses move side by side as cos t, and a change of one stiffness by dk makes them swing apart.
+
+    The acceleration of the difference is then -dk cos t - (1 + 2 kc) times the difference, and that of the mean is
+    -dk/2 cos t minus the mean.
+    """
+    fast, times = np.sqrt(201.0), np.linspace(0.0, 3.0, 31)
+    pair = vj.System(
+        "pair",
+        states={"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"},
+        parameters={"k": 1.0},
+        field=lambda t, y, p: {
+            **{"x1": y["v1"], "v1": -p["k"] * y["x1"] - 100 * (y["x1"] - y["x2"])},
+            **{"x2": y["v2"], "v2": -y["x2"] - 100 * (y["x2"] - y["x1"])},
+        },
+        section="x1",
+    )
+    point = read_point(Place("x"), pair, {}, [1.0, 0.0, 1.0, 0.0])
+    with precision("float64"):
+        _, slopes = History(point, 0.0, times, times, (), np.zeros(0), np.zeros(0)).predict(["k"], np.array([[1.0]]))
+    apart = (np.sin(times) - fast * np.sin(fast * times)) / (fast**2 - 1)
+    together = -(np.sin(times) + times * np.cos(times)) / 4
+    assert slopes[0, :, 0] == pytest.approx(together + apart / 2, abs=1e-8)
+
+
 @pytest.mark.parametrize(
     "window", [{"window": [0.0, 0.5], "start": "stuck"}, {"window": [0.5, 1.0]}], ids=["known", "fitted"]
 )

@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from inspect import signature
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.integrate import solve_ivp
 from systems import BALL, BELT, IMPACT_OSCILLATOR, RELAY, VAN_DER_POL, ends, events_of, mass, names_of
 
 import vibrojax as vj
+from vibrojax.systems.probe import ARGUMENTS
 
 cos = vj.elementary.cos
 
@@ -78,6 +80,10 @@ MISTAKES = {
     "not jnp, np or math": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
     "it depends on t; give period=": {"field": FORCED},
     "does not repeat after the period": {"field": FORCED, "section": None, "period": 6.0},
+    "does not repeat after": {  # the forcing is 1e-11 of the other terms at states of order one
+        "field": lambda t, y, p: {"x": y["v"], "v": 10 * cos(t) - 1e12 * y["x"]},
+        **{"section": None, "period": 6.0},
+    },
     "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
     "decides by a value": {"field": lambda t, y, p: {"x": y["v"], "v": -max(y["x"], 0.0)}},
@@ -98,6 +104,10 @@ MISTAKES = {
     },
     "must depend on states, and not on t": {"section": lambda t, y, p: y["x"] - t},
     "a pair of a state and a number, or a function": {"section": 3.0},
+    "the name of an argument": {"parameters": {"k": 1.0, "step": 1.0}},
+    "states are x, v": {"section": ["x", 0.3]},
+    "stop: gap is nan at x = ": {"events": [vj.Impact("stop", lambda t, y, p: vj.elementary.sqrt(-y["x"]), "v")]},
+    "law is nan": {"events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": np.nan})]},
     "that is a kind of special points": {"events": [vj.Switch("fold", lambda t, y, p: y["x"])]},
     "either velocity=": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"])]},
     "belt: law fails with TypeError": {
@@ -109,10 +119,33 @@ MISTAKES = {
 }
 
 
+def test_arguments_of_simulate_are_no_parameters():
+    assert {*signature(vj.simulate).parameters} - {"start", "parameters"} == {*ARGUMENTS}
+
+
 @pytest.mark.parametrize("message", MISTAKES)
 def test_mistake_in_system_gives_one_line(message):
     text = refusal(vj.System, "wrong", **(GOOD | MISTAKES[message]))
     assert text.startswith("system wrong: ") and message in text and len(text) < 220
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-10, 1e9])
+def test_structure_does_not_depend_on_units(unit):
+    """Two coupled relays slide on both surfaces, to their intersection. A weak forcing without a period moves x."""
+    relays = vj.System(
+        "relays",
+        states={"x": "m", "y": "m"},
+        parameters={"a": unit},
+        field=lambda t, y, p, s: {"x": -p["a"] * (s["p"] + 0.5 * s["q"]), "y": p["a"] * (0.4 * s["p"] - s["q"])},
+        section="x",
+        events=[
+            vj.Switch("p", lambda t, y, p: y["x"] + 0.3 * y["y"]),
+            vj.Switch("q", lambda t, y, p: y["y"] - 0.2 * y["x"] + 0.1 * p["a"]),
+        ],
+    )
+    assert np.array(ends(relays, [0.5 * unit, 0.8 * unit], 5.0)) / unit == pytest.approx([0.03 / 1.06, -0.1 / 1.06])
+    forced = mass(lambda t, y, p: p["a"] * cos(3 * t) - y["x"], parameters={"a": unit}, section=None)
+    assert ends(forced, [0.0, 0.0], 2.0)[0] / unit == pytest.approx((np.cos(2.0) - np.cos(6.0)) / 8, rel=1e-7)
 
 
 def test_start_beyond_stop_fails_with_reason():

@@ -17,7 +17,7 @@ from vibrojax.periodic.variations import DERIVATIVE_ACCURACY
 from vibrojax.physics.arrays import Array, Flags, Lanes
 from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values as States
-from vibrojax.stepping import Accuracy, Goal, Lane, Located, lane_at
+from vibrojax.stepping import Accuracy, Goal, Lane, Varied, lane_at
 
 VELOCITY = "v1"
 """State that a history records: the velocity of the bit relative to the drive."""
@@ -134,7 +134,7 @@ def _sampled(
 
             def step(now: tuple[Lane, Any]) -> tuple[Lane, Any]:
                 active = moving(*now)
-                lane, _ = Located().step(scene, c, now[0], accuracy, Goal(time, active), marked=False)
+                lane, _ = Varied().step(scene, c, now[0], accuracy, Goal(time, active), marked=False)
                 return lane, now[1] + active.astype(time.dtype)
 
             first = with_derivatives(lane), jnp.zeros_like(time)

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -26,10 +26,16 @@ RESERVED = (
 )
 """Names that datasets and sweep files use for other things."""
 
+ARGUMENTS = ("scene", "duration", "method", "solver", "step", "smoothing", "error", "sampling", "progress")
+"""Arguments of `vj.simulate`, which would take the value of a parameter of the same name."""
+
 RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "equilibrium")
 """Regimes that may have names of the system's own."""
 
 _UNIT_EXAMPLES = "give one such as 'm s-1', 'rad', 'deg', 'N m', or '1'"
+
+REPEATED, ROUNDED = 1e-9, 1e-13
+"""Differences that a function may have after a period, relative to its changes in time and to its value."""
 
 SHARES = np.random.default_rng(3).uniform(0.0, 1.0, (20, LANES))
 """Times at which functions are compared with other times: some fall into pulses that last a tenth of a period."""
@@ -40,8 +46,9 @@ MOST_HELD = 16
 Corner = tuple[float, ...]
 """A combination of the sides of the switches, each 1 or -1."""
 
-EQUAL = 1e-9
-"""Relative difference up to which two probed values are equal."""
+EQUAL = 1e-12
+"""Relative difference up to which two probed values are equal. States and parameters may have any units, so that no
+absolute difference is small."""
 
 
 class Probe:
@@ -126,7 +133,9 @@ class Probe:
         groups = {"state": [*states, *self._discrete], "parameter": [*parameters]}
         groups["event"] = [event.name for event in self._events]
         names = [(key, kind) for kind, group in groups.items() for key in group]
-        for key, _ in names:
+        for key, kind in names:
+            if kind == "parameter" and key in ARGUMENTS:
+                raise self._refuse(f'parameter "{key}" has the name of an argument of vj.simulate; choose another name')
             if not isinstance(key, str) or not key.isidentifier() or key in RESERVED:
                 raise self._refuse(
                     f"{shown(key)} cannot be a name; write an identifier, not one of {', '.join(RESERVED)}"
@@ -162,7 +171,7 @@ class Probe:
                 raise self._refuse(
                     f"event {event.name}: {shown(event.acts_on)} is not a state; choose from {', '.join(self._states)}"
                 )
-            if isinstance(event, Friction) and isinstance(event.law, int | float) and event.law < 0:
+            if isinstance(event, Friction) and isinstance(event.law, int | float) and not event.law >= 0:
                 raise self._refuse(f"event {event.name}: law is {event.law:g}; a coefficient is at least 0")
             if isinstance(event, Friction) and not (
                 isinstance(event.law, FrictionLaw | int | float) or callable(event.law)
@@ -254,13 +263,10 @@ class Probe:
 
     def _check_functions(self) -> None:
         for key, rate in self.rates(self._t, self._y).items():
-            if not bool(np.isfinite(rate).all()):
-                lane = int(np.argmax(~np.isfinite(rate)))
-                place = ", ".join(f"{name} = {float(y[lane]):.2g}" for name, y in self._y.items())
-                raise self._refuse(f"field, {key}, is {float(rate[lane])} at {place}; it must be finite there")
+            self._check_finite(f"field, {key},", rate)
         for event in self._events:
             what, function = self._surface(event)
-            self._number(what, self._call(what, function, self._t, self._y, self._p))
+            self._check_finite(what, self._number(what, self._call(what, function, self._t, self._y, self._p)))
             self._check_effect(event)
             if isinstance(event, Friction):
                 what = f"event {event.name}: normal"
@@ -290,6 +296,12 @@ class Probe:
                 if not bool(((r >= 0) & (r <= 1)).all()):
                     raise self._refuse(f"{what} is {float(r[0]):g}; it must lie between 0 and 1")
         self._check_series()
+
+    def _check_finite(self, what: str, value: Any) -> None:
+        if not bool(np.isfinite(value).all()):
+            lane = int(np.argmax(~np.isfinite(value)))
+            place = ", ".join(f"{name} = {float(y[lane]):.2g}" for name, y in self._y.items())
+            raise self._refuse(f"{what} is {float(value[lane])} at {place}; it must be finite there")
 
     def check_rate(self, rate: Any) -> None:
         """Refuse a function of the fastest rate of change that does not give a rate above zero."""
@@ -348,7 +360,7 @@ class Probe:
             name, known = section[0] if isinstance(section, tuple) else section, ", ".join(self._states)
             for part in section if isinstance(section, tuple) else ():
                 check_untraced(lambda problem: self._refuse(f"section {problem}"), part)
-            if name not in self._states or (isinstance(section, tuple) and not _is_level(section)):
+            if name not in [*self._states] or (isinstance(section, tuple) and not _is_level(section)):
                 raise self._refuse(
                     f"section: {shown(section)} is not a state, a pair of a state and a number, or a function; "
                     f"states are {known}"
@@ -358,15 +370,18 @@ class Probe:
                 raise self._refuse("it depends on t; give period= (of the forcing) instead of section=")
             return
         T = self._number("period", period(self._p) if callable(period) else period)
-        if not all(self._same(Plain.of(share) * T, Plain.of(share - 1.0) * T) for share in SHARES):
+        now, before = (self._at_times([Plain.of(share - back) * T for share in SHARES]) for back in (0.0, 1.0))
+        # A forcing may be much smaller than the other terms, as for states far from one.
+        if not bool((np.abs(now - before) <= REPEATED * np.ptp(now, axis=0) + ROUNDED * np.abs(now)).all()):
             raise self._refuse("it does not repeat after the period; check period=")
 
     def depends_on_time(self) -> bool:
         """Return whether the field or an event depends on the time."""
-        return not all(self._same(self._t, Plain.of(1e6**share)) for share in SHARES)
+        first, *others = self._at_times([self._t, *(Plain.of(1e6**share) for share in SHARES)])
+        return not all(np.array_equal(first, other, equal_nan=True) for other in others)
 
-    def _same(self, first: Any, second: Any) -> bool:
-        """Return whether the field and the events are the same at two times, on all sides."""
+    def _at_times(self, times: Sequence[Any]) -> Any:
+        """Return the field and the events on all sides (times, values, lanes)."""
 
         def values(t: Any) -> list[Any]:
             values = [*self.rates(t, self._y).values(), *(event.surface(t, self._y, self._p) for event in self._events)]
@@ -375,10 +390,9 @@ class Probe:
                     values.append(event.force(t, self._y, self._p, self._sides))
                 elif isinstance(event, Impact) and event.reset is not None:
                     values += self._jump(event, t).values()
-            return values
+            return [np.broadcast_to(np.asarray(value, float), (LANES,)) for value in values]
 
-        pairs = zip(self._in_all(values, first), self._in_all(values, second), strict=True)
-        return all(bool(equal(a, b)) for pair in pairs for a, b in zip(*pair, strict=True))
+        return np.array([np.concatenate(self._in_all(values, t)) for t in times])
 
     def velocities(self) -> dict[str, str]:
         """Return the velocity of each state whose rate of change is a state itself, by name."""
@@ -401,11 +415,11 @@ def _is_level(section: tuple[Any, ...]) -> bool:
     return len(section) == 2 and isinstance(section[1], int | float) and math.isfinite(section[1])
 
 
-def equal(a: Any, b: Any) -> bool:
-    """Return whether two values are equal within `EQUAL` in all lanes."""
+def equal(a: Any, b: Any, tolerance: float = EQUAL) -> bool:
+    """Return whether two values have at most the relative difference `tolerance` in all lanes."""
     a, b = np.asarray(a), np.asarray(b)
     with np.errstate(all="ignore"):
-        return bool((np.abs(a - b) <= EQUAL * (1 + np.abs(a))).all())
+        return bool((np.abs(a - b) <= tolerance * np.maximum(np.abs(a), np.abs(b))).all())
 
 
 def _is_unit(unit: object) -> bool:

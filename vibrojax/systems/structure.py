@@ -12,8 +12,8 @@ from vibrojax.lazy import lax
 from vibrojax.systems.events import Event, Friction, Impact, Switch, required_arguments
 from vibrojax.systems.flow import Dependences
 from vibrojax.systems.kinks import Function, Kink
-from vibrojax.systems.numbers import Dual, Plain, array_of, slope_along
-from vibrojax.systems.probe import EQUAL, LANES, Corner, Probe, equal
+from vibrojax.systems.numbers import Dual, Plain, array_of, slope_along, slopes_along
+from vibrojax.systems.probe import EQUAL, LANES, REPEATED, ROUNDED, Corner, Probe, equal
 
 MOVED = 0.1
 """Change of a state that shows whether a function depends on it; random states are of order one."""
@@ -175,7 +175,8 @@ class Structure(Probe):
         """Return whether the constraints of two events act along the same direction at all random states."""
         a, b = self._direction(first), self._direction(second)
         products = [(a[i] * b[j], a[j] * b[i]) for i, j in itertools.combinations(self._y, 2)]
-        return all(equal(*pair) for pair in products) and any(not equal(a[name] * b[name], 0.0) for name in self._y)
+        # Directions of switches are differences of two fields, with the rounding errors of the fields.
+        return all(equal(*pair, tolerance=1e-9) for pair in products) and any((a[key] * b[key]).any() for key in a)
 
     def _direction(self, event: Event) -> dict[str, Any]:
         """Return the direction along which the constraint of an event acts, by name of the states."""
@@ -211,13 +212,11 @@ class Structure(Probe):
         pairs = set()
         for (i, first), (j, second) in itertools.combinations(switches, 2):
             corners = {(a, b): self._forced({first: a, second: b}) for a in (1.0, -1.0) for b in (1.0, -1.0)}
-            if not all(
-                equal(
-                    corners[1.0, 1.0][key] + corners[-1.0, -1.0][key], corners[1.0, -1.0][key] + corners[-1.0, 1.0][key]
-                )
-                for key in corners[1.0, 1.0]
-            ):
-                pairs.add((i, j))
+            for key in corners[1.0, 1.0]:
+                high, low = (corners[a, 1.0][key] - corners[a, -1.0][key] for a in (1.0, -1.0))
+                size = max(np.abs(rates[key]).max() for rates in corners.values())
+                if not bool((np.abs(high - low) <= REPEATED * np.abs(high) + ROUNDED * size).all()):
+                    pairs.add((i, j))
         return pairs
 
     def _linear(self) -> bool:
@@ -229,9 +228,12 @@ class Structure(Probe):
                     if isinstance(coefficient, Dual) and bool(np.any(np.asarray(coefficient.slope) != 0)):
                         return False
         moved = {key: x + MOVED * (2 + k) for k, (key, x) in enumerate(self._y.items())}
-        middle = {key: 0.5 * (x + moved[key]) for key, x in self._y.items()}
-        first, second, half = (self.rates(self._t, y) for y in (self._y, moved, middle))
-        return all(equal(0.5 * (first[key] + second[key]), half[key]) for key in self._y)
+        directions = [[float(key == unit) for key in self._y] for unit in self._y]
+        fields = lambda t, y: [*self.rates(t, y, number=False).values()]  # noqa: E731
+        slopes = (
+            [x for each in directions for x in slopes_along(fields, self._t, y, each, 0.0)] for y in (self._y, moved)
+        )
+        return all(np.array_equal(*pair) for pair in zip(*slopes, strict=True))
 
     def _check_surfaces(self) -> None:
         """Refuse two switches or frictions with one surface: neither decides alone on which side the motion is."""
