@@ -98,7 +98,8 @@ class Branches(NamedTuple):
     def brackets(self, place: Index) -> Brackets:
         """Return the parts of branches between the points with indices `place` and the points that follow them."""
         place = place[self.lane[place] == self.lane[place + 1]]
-        return Brackets(np.full(len(place), EVENT_CHANGE), place, self.points.of(place), self.points.of(place + 1))
+        kind, ends = np.full(len(place), EVENT_CHANGE), np.zeros(len(place), bool)
+        return Brackets(kind, place, self.points.of(place), self.points.of(place + 1), ends)
 
 
 Stop = Callable[[Index, Points], Flags]
