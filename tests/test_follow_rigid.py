@@ -259,15 +259,30 @@ def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():
     assert special_values(family, "end").tolist() == [1.0]
 
 
+STICKS_AT_STOP = mass(
+    lambda t, y, p: cos(0.8 * t) - y["x"] - 0.05 * y["v"],
+    vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=0.2, static=0.25, acts_on="v"),
+    vj.Impact("stop", lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
+    parameters={"d": 0.8, "r": 0.7},
+    period=2.5 * np.pi,
+)
+
+
+@pytest.mark.parametrize("at", [0.7, 0.3])
+def test_bounce_that_vanishes_with_the_restitution_is_no_graze(at):
+    """At small r the mass sticks next to the stop or rests on it; one impact in a period remains, as r = 0 has it."""
+    family = vj.follow(
+        STICKS_AT_STOP, along="r", at=at, span=(0.0, 0.5 + at / 2), start=[0, 0], cycles=1, progress=False
+    )
+    assert set(family.impacts.values) == {1}
+    assert not len(special_values(family, "grazing"))
+    assert not (special_values(family, "stick") < 0.5).any()
+
+
 @pytest.mark.parametrize(("at", "sticks", "near"), [(0.8, True, 1.1005), (0.95, True, 1.1005), (1.3, False, 1.1007)])
 def test_branch_ends_where_greater_static_friction_makes_the_motion_jump(at, sticks, near):
     """A mass that slides slower and slower until it touches rest sticks at once, until the drive exceeds 0.25."""
-    rubs = vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=0.2, static=0.25, acts_on="v")
-    stop = vj.Impact("stop", lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=0.7)
-    driven = mass(
-        lambda t, y, p: cos(0.8 * t) - y["x"] - 0.05 * y["v"], rubs, stop, parameters={"d": 0.8}, period=2.5 * np.pi
-    )
-    family = vj.follow(driven, along="d", at=at, span=(0.7, 1.5), start=[0, 0], cycles=1, progress=False)
+    family = vj.follow(STICKS_AT_STOP, along="d", at=at, span=(0.7, 1.5), start=[0, 0], cycles=1, progress=False)
 
     def slide(begin, x, v, push):
         """Return position and velocity after `begin` [s]; `push`: friction."""

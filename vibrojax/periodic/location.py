@@ -89,8 +89,9 @@ class Locator:
         changes = end_at_jumps(self.problem, changes)
         changes = classify_event_changes(self.problem, _touching_end_first(changes))
         near, far = changes.near.margin, changes.far.margin
-        grazes = (np.minimum(near, far) < GRAZED_MARGIN) & (np.abs(near - far) > SAME_MARGIN * near)
-        return changes.of(grazes | changes.ends | (changes.kind != SPECIAL_KINDS.index("grazing")))
+        touches, goes_on = np.minimum(near, far) < GRAZED_MARGIN, np.abs(near - far) <= SAME_MARGIN * near
+        grazing, stick = (changes.kind == SPECIAL_KINDS.index(kind) for kind in ("grazing", "stick"))
+        return changes.of(changes.ends | ~(grazing & goes_on | (grazing | stick) & ~touches))
 
     def __call__(self, branches: Branches) -> Brackets:
         """Return the special points between the points of branches: `near` at the point, `far` just behind it."""
