@@ -190,7 +190,7 @@ def _near_miss(f: Coefficients, step: Step, scale: Array, fresh: Flags) -> "jax.
     turns, place = turning(f, step.tau, 2)
     least = value(f, place)
     # A motion that has just left a surface along a tangent begins next to it, with a rate that is a rounding error.
-    departed = fresh & (f[0] <= DEPARTED * scale)
+    departed = (fresh | (jnp.abs(f[1]) <= DEPARTED * scale)) & (f[0] <= DEPARTED * scale)
     # Down to the resolution of events, a guard may pass zero without one: the motion grazes.
     return jnp.where(turns & ~departed, jnp.maximum(least, 0.0) / scale, jnp.inf)
 
