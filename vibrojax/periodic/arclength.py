@@ -224,7 +224,7 @@ class _ActiveBranches:
             # A last Newton step keeps predictors free of residuals, without another evaluation. It is omitted after
             # very short steps, because the margin belongs to the evaluated point. Near Hopf points of problems without
             # a section, the parameter needs it, too.
-            polished = (self._step[lanes[subset]] > POLISHED_STEP) & (now.margin[subset] > CORRECTOR_RESIDUAL)
+            polished = (self._step[lanes[subset]] > POLISHED_STEP) & ~self._problem.touching(now.of(subset))
             better = self._problem.off_stops(now.of(subset), row[subset], self._level[lanes[subset]])
             whole = slice(None, -1 if self._problem.at_section else None)
             better.u[polished, whole] += np.nan_to_num(change[subset, whole])[polished]
