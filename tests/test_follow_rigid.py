@@ -283,3 +283,58 @@ def test_family_goes_on_where_an_impact_passes_the_section():
         [_, speed], _, end, _ = fsolve(misses, [0.0, float(found.impact_velocity)], xtol=1e-13, full_output=True)
         assert end == 1 and float(found.r) == r and float(found.impact_velocity) == pytest.approx(speed, rel=1e-9)
     assert 0.92 < passed < 0.93 and float(last.orbit_v) > 0
+
+
+STICKS_AT_STOP = mass(
+    lambda t, y, p: cos(0.8 * t) - y["x"] - 0.05 * y["v"],
+    vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=0.2, static=0.25, acts_on="v"),
+    vj.Impact("stop", lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
+    parameters={"d": 0.8, "r": 0.7},
+    period=2.5 * np.pi,
+)
+
+
+@pytest.mark.parametrize("at", [0.7, 0.3])
+def test_bounce_that_vanishes_with_the_restitution_is_no_graze(at):
+    """At small r the mass sticks next to the stop or rests on it; one impact in a period remains, as r = 0 has it."""
+    family = vj.follow(
+        STICKS_AT_STOP, along="r", at=at, span=(0.0, 0.5 + at / 2), start=[0, 0], cycles=1, progress=False
+    )
+    assert set(family.impacts.values) == {1}
+    assert not len(special_values(family, "grazing"))
+    assert not (special_values(family, "stick") < 0.5).any()
+
+
+@pytest.mark.parametrize(("at", "sticks", "near"), [(0.8, True, 1.1005), (0.95, True, 1.1005), (1.3, False, 1.1007)])
+def test_branch_ends_where_greater_static_friction_makes_the_motion_jump(at, sticks, near):
+    """A mass that slides slower and slower until it touches rest sticks at once, until the drive exceeds 0.25."""
+    family = vj.follow(STICKS_AT_STOP, along="d", at=at, span=(0.7, 1.5), start=[0, 0], cycles=1, progress=False)
+
+    def slide(begin, x, v, push):
+        """Return position and velocity after `begin` [s]; `push`: friction."""
+        decay, forced = complex(-0.025, np.sqrt(1 - 0.025**2)), 1 / complex(1 - 0.8**2, 0.05 * 0.8)
+        u, q = x - push - (forced * np.exp(0.8j * begin)).real, v - (0.8j * forced * np.exp(0.8j * begin)).real
+        free = complex(u, (decay.real * u - q) / decay.imag)
+
+        def state(t):
+            own, driven = free * np.exp(decay * (t - begin)), forced * np.exp(0.8j * t)
+            return np.array([(own + driven).real + push, (decay * own + 0.8j * driven).real])
+
+        return state
+
+    def equations(unknowns):
+        """Return the velocity at the touch, and state minus stop and speed after one period; impact at `t0`."""
+        t0, speed, d = unknowns
+        state = slide(t0, d, -0.7 * speed, 0.2)
+        touch = brentq(lambda t: np.cos(0.8 * t) - state(t) @ [1.0, 0.05] + 0.2, 1.8, 2.5, xtol=1e-15)
+        x, v = state(touch)
+        if sticks:
+            slips = brentq(lambda t: np.cos(0.8 * t) - x + 0.25, touch, touch + 0.5, xtol=1e-15)
+            state = slide(slips, x, 0.0, 0.2)
+        turns = brentq(lambda t: state(t)[1], touch + 0.5, 5.5, xtol=1e-15)
+        return [v, *slide(turns, state(turns)[0], 0.0, -0.2)(t0 + 2.5 * np.pi) - [d, speed]]
+
+    last = fsolve(equations, [-0.0286, 1.5574, near], xtol=1e-12)[2]
+    end = family.sortby("special_value").isel(special=-1 if sticks else 0)
+    assert (str(end.special_note.values), end.special_value) == ("the family ends here", pytest.approx(last, abs=1e-9))
+    assert special_values(family, "stick")[-1 if sticks else 0] == end.special_value

@@ -98,7 +98,8 @@ class Branches(NamedTuple):
     def brackets(self, place: Index) -> Brackets:
         """Return the parts of branches between the points with indices `place` and the points that follow them."""
         place = place[self.lane[place] == self.lane[place + 1]]
-        return Brackets(np.full(len(place), EVENT_CHANGE), place, self.points.of(place), self.points.of(place + 1))
+        kind, ends = np.full(len(place), EVENT_CHANGE), np.zeros(len(place), bool)
+        return Brackets(kind, place, self.points.of(place), self.points.of(place + 1), ends)
 
 
 Stop = Callable[[Index, Points], Flags]
@@ -223,7 +224,8 @@ class _ActiveBranches:
             # A last Newton step keeps predictors free of residuals, without another evaluation. It is omitted after
             # very short steps, because the margin belongs to the evaluated point. Near Hopf points of problems without
             # a section, the parameter needs it, too.
-            better, polished = now.of(subset), self._step[lanes[subset]] > POLISHED_STEP
+            polished = (self._step[lanes[subset]] > POLISHED_STEP) & ~self._problem.touching(now.of(subset))
+            better = self._problem.off_stops(now.of(subset), row[subset], self._level[lanes[subset]])
             whole = slice(None, -1 if self._problem.at_section else None)
             better.u[polished, whole] += np.nan_to_num(change[subset, whole])[polished]
             accepted[subset] = self._accept(lanes[subset], better)

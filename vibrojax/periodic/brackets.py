@@ -78,24 +78,27 @@ class Brackets(NamedTuple):
     """Parts of branches between two points, `near` and `far`.
 
     `kind`: flag of the special point between them, or `EVENT_CHANGE`; `place`: index of the branch point at or before
-    `near`.
+    `near`; `ends`: mask of changes of events at which the branch ends, because the map jumps.
     """
 
     kind: Int[np.ndarray, " brackets"]
     place: Int[np.ndarray, " brackets"]
     near: Points
     far: Points
+    ends: Flags
 
     def of(self, subset: Any) -> "Brackets":
-        return Brackets(self.kind[subset], self.place[subset], self.near.of(subset), self.far.of(subset))
+        near, far = self.near.of(subset), self.far.of(subset)
+        return Brackets(self.kind[subset], self.place[subset], near, far, self.ends[subset])
 
     def as_kind(self, kind: int) -> "Brackets":
         return self._replace(kind=np.full(len(self.place), kind))
 
     @staticmethod
     def join(parts: "Sequence[Brackets]") -> "Brackets":
-        kind, place, near, far = zip(*parts, strict=True)
-        return Brackets(np.concatenate(kind), np.concatenate(place), Points.join(near), Points.join(far))
+        kind, place, near, far, ends = zip(*parts, strict=True)
+        joined = (np.concatenate(x) for x in (kind, place, ends))
+        return Brackets(next(joined), next(joined), Points.join(near), Points.join(far), next(joined))
 
     @property
     def changes_events(self) -> Flags:

@@ -131,7 +131,7 @@ def branch_point(problem: Problem, bracket: Brackets) -> Brackets | None:
     same = np.linalg.norm(half) < SAME_HALVES * np.linalg.norm(point.u)
     if np.abs(multipliers(point.product) - 1).min(initial=np.inf) > CRITICAL_MULTIPLIER:
         return None
-    return Brackets(np.array([DOUBLING if same else BRANCH_POINT]), bracket.place, point, bracket.far)
+    return Brackets(np.array([DOUBLING if same else BRANCH_POINT]), bracket.place, point, bracket.far, bracket.ends)
 
 
 def branch_point_ahead(problem: Problem, points: Points) -> tuple[Points, Points] | None:

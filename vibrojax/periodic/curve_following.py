@@ -10,7 +10,8 @@ from vibrojax.periodic.arclength import CLOSED, ENDED, STALLED, STOPPED, Stop
 from vibrojax.periodic.brackets import interpolate, predict_zero
 from vibrojax.periodic.codim2 import CODIM2_NAMES, CodimensionTwo, cosine, event_names
 from vibrojax.periodic.curve_equations import EVENTS, CurveProblem
-from vibrojax.periodic.location import GRAZED_MARGIN, cross_impact, reindex_returns, turn_corner
+from vibrojax.periodic.grazes import GRAZED_MARGIN
+from vibrojax.periodic.location import cross_impact, reindex_returns, turn_corner
 from vibrojax.periodic.problem import Flags, Index, Points, Unknowns, towards
 from vibrojax.periodic.segments import ENDINGS, Mark, Segment, Tracing
 

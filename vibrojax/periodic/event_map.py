@@ -91,8 +91,8 @@ class EventMargin(Margin):
     """Signed margin of the `chosen` condition of each lane, and the grazing margin of all other events.
 
     Its rows are the signed value that is closest to zero, the margin of the other events, the second-closest value,
-    three rows for bounces, and for each guard its value at the end of the last step if it fell there until another
-    event. If the guard rises behind the event, this value is its minimum.
+    the last four rows of `Margin`, and for each guard its value at the end of the last step if it fell there until
+    another event. If the guard rises behind the event, this value is its minimum.
     """
 
     chosen: tuple[Array, ...] = ()
@@ -107,7 +107,7 @@ class EventMargin(Margin):
         order = len(step.polynomials[0]) - 1
         functions = [f.arrays(order, step.dt) for f in scene.guard_values(self.c, step.mode, states)]
         scales = scene.typical_guard_values(self.c, step.mode, step.before)
-        first, second, others, fallen = least[0], least[2], least[3:6], least[6:]
+        first, second, others, fallen = least[0], least[2], least[3:7], least[7:]
         for (name, place), chosen in zip(conditions_of(scene), self.chosen, strict=True):
             index = scene.guard_names.index(name)
             if place is None:

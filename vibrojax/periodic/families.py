@@ -12,16 +12,10 @@ from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.arclength import ENDED, STALLED, STOPPED, VANISHED, Stop
 from vibrojax.periodic.brackets import Brackets
 from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator, branch_point_ahead, second_tangent
+from vibrojax.periodic.grazes import GRAZED_MARGIN, extrapolated_graze
 from vibrojax.periodic.hopf import hopf_point
 from vibrojax.periodic.joined_branches import drop_duplicates, end_where_joined, invariants, is_among
-from vibrojax.periodic.location import (
-    GRAZED_MARGIN,
-    classify_event_changes,
-    cross_impact,
-    extrapolated_graze,
-    reindex_returns,
-    turn_corner,
-)
+from vibrojax.periodic.location import classify_event_changes, cross_impact, reindex_returns, turn_corner
 from vibrojax.periodic.newton import spectral_radius
 from vibrojax.periodic.problem import Flags, Index, Points, Problem, towards
 from vibrojax.periodic.segments import (
@@ -52,6 +46,8 @@ STEEP_GRAZE = 1e3
 
 ENDS_AT_SHORTER = "the branch ends at the orbit of half its period"
 """Note on a period doubling that a branch reaches from the side of the doubled orbit."""
+
+ENDS_HERE = "the family ends here"
 
 
 class FamilyContinuation(Tracing):
@@ -106,6 +102,10 @@ class FamilyContinuation(Tracing):
         stalled: list[Segment] = []
         following: list[Segment] = []
         for segment in segments:
+            jumps = segment.special.ends
+            if jumps.any():
+                self._end_at_jump(segment, int(segment.special.place[jumps].min()))
+                continue
             ahead = branch_point_ahead(self._problem, segment.points) if segment.origin is None else None
             if ahead is not None:
                 following += self._pass_branch_point(segment, *ahead)
@@ -153,7 +153,7 @@ class FamilyContinuation(Tracing):
         """End a segment at a branch point where its steps became short; return the segment behind it."""
         place = len(before.u) - 1
         special = segment.special.of(segment.special.place < place)
-        here = Brackets(np.array([DOUBLING]), np.array([place]), crossing, crossing)
+        here = Brackets(np.array([DOUBLING]), np.array([place]), crossing, crossing, np.zeros(1, bool))
         if self._repeats(crossing)[0]:
             self._end_at_shorter(segment, Brackets.join([special, here]), here)
             return []
@@ -163,6 +163,16 @@ class FamilyContinuation(Tracing):
         onward = segment.onward(crossing)
         onward.crossing = invariants(self._problem, crossing)
         return [onward]
+
+    def _end_at_jump(self, segment: Segment, place: int) -> None:
+        """End a segment at a change of events behind which its orbits do not go on, after the point `place`."""
+        special = segment.special
+        jump = special.of(special.ends & (special.place == place))
+        segment.points = Points.join([segment.points.of(slice(0, place + 1)), jump.near.of([0])])
+        self._add_marks(segment, special.of(~special.ends & (special.place < place)))
+        for kind in jump.kind:
+            event, _ = change_of(self._problem.scene, SPECIAL_KINDS[kind], jump.near.of([0]), jump.far.of([0]))
+            segment.mark(SPECIAL_KINDS[kind], ENDS_HERE, event)
 
     def _end_at_shorter(self, segment: Segment, special: Brackets, doubles: Brackets) -> None:
         """End a segment where the orbit of half its period doubles: behind it, only the halves are exchanged."""
@@ -232,7 +242,7 @@ class FamilyContinuation(Tracing):
                 continue
             if beyond is None:
                 uncounted = "the motion goes on, its returns are not counted any more"
-                note = uncounted if kinds[0] == "section" else "the family ends here"
+                note = uncounted if kinds[0] == "section" else ENDS_HERE
             elif not turned[k]:
                 kinds, doubled, note = ["section"], False, f"{beyond.times.shape[1]} returns from here"
             for kind in kinds:

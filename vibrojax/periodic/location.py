@@ -17,8 +17,9 @@ from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.measures.ledger import MOST_CYCLES
 from vibrojax.periodic.arclength import SHORTEST_STEP, Branches
 from vibrojax.periodic.brackets import ACCEPTED_WITHIN, EVENT_CHANGE, Brackets, TestFunction, shrink_brackets
+from vibrojax.periodic.grazes import GRAZED_MARGIN, end_at_jumps, onto_grazes
 from vibrojax.periodic.newton import multipliers
-from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns, solve_bordered, towards
+from vibrojax.periodic.problem import Flags, Index, PerLane, Points, Problem, Unknowns, towards
 from vibrojax.periodic.return_map import across_impacts
 
 MAX_EVENT_CHANGES = 32
@@ -28,20 +29,6 @@ bounces behind it, one by one."""
 CRITICAL_DISTANCE = 1e-3
 """Largest distance of a located point's multiplier from its critical value. Where events begin or vanish, multipliers
 may jump over the critical value; such a point has another kind."""
-
-GRAZED_MARGIN = 1e-4
-"""Largest grazing margin of a grazing point. The margin may vary as the square root of the distance, and points are
-located, or branches stall, within `SHORTEST_STEP` (1e-9)."""
-
-MARGIN_STEPS, CLOSER = 12, 0.9
-"""Steps along a branch to the zero of its margin, and the share of the way to the predicted zero that each advances at
-most."""
-
-AT_GRAZE = 1e-11
-"""Margin at which the steps end."""
-
-CHORD_STEPS, CHORD_SHARES = 6, (0.9, 0.5, 0.2)
-"""Steps towards a graze on the side with more events, and the shares of the way that are tried."""
 
 SAME_MARGIN = 1e-4
 """Relative difference of the margin up to which it goes on from one side of a change to the other."""
@@ -99,10 +86,12 @@ class Locator:
         The margin vanishes at a graze. If it goes on, other events have changed, such as the number of bounces that end
         in rest.
         """
+        changes = end_at_jumps(self.problem, changes)
         changes = classify_event_changes(self.problem, _touching_end_first(changes))
         near, far = changes.near.margin, changes.far.margin
-        grazes = (np.minimum(near, far) < GRAZED_MARGIN) & (np.abs(near - far) > SAME_MARGIN * near)
-        return changes.of(grazes | (changes.kind != SPECIAL_KINDS.index("grazing")))
+        touches, goes_on = np.minimum(near, far) < GRAZED_MARGIN, np.abs(near - far) <= SAME_MARGIN * near
+        grazing, stick = (changes.kind == SPECIAL_KINDS.index(kind) for kind in ("grazing", "stick"))
+        return changes.of(changes.ends | ~(grazing & goes_on | (grazing | stick) & ~touches))
 
     def __call__(self, branches: Branches) -> Brackets:
         """Return the special points between the points of branches: `near` at the point, `far` just behind it."""
@@ -159,52 +148,6 @@ class Locator:
         return test
 
 
-def onto_grazes(problem: Problem, whole: Brackets, changes: Brackets) -> Brackets:
-    """Return located changes of events, the ends of which stay apart, with both ends next to the change.
-
-    A branch may turn back at a graze. The planes of its bracket then contain orbits of both sides, or of one side only,
-    before the graze is reached. The end with fewer events follows its margin, which is smooth there, to zero. The other
-    end follows the chord: special points may be between it and the graze. `whole`: the brackets that were shrunk.
-    """
-    ends = changes.near.of(slice(None)), changes.far.of(slice(None))
-    apart = np.abs(changes.far.u - changes.near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
-    more = (changes.far.signature - changes.near.signature).sum(axis=1)
-    for k in np.flatnonzero(apart & (more != 0)).tolist():
-        few, many = (0, 1) if more[k] > 0 else (1, 0)
-        before, last, other = (whole.near, whole.far)[few].of([k]), ends[few].of([k]), ends[many].of([k])
-        share = CLOSER
-        for _ in range(MARGIN_STEPS):
-            if last.margin[0] < AT_GRAZE:
-                break
-            row = last.tangent
-            way = float((row @ (last.u - before.u)[0])[0])
-            step = share * way * float(last.margin[0]) / float(before.margin[0] - last.margin[0])
-            now = _beside(problem, last, row, step) if abs(step) < abs(way) else None
-            if now is None or now.margin[0] >= last.margin[0]:
-                share /= 3  # the margin bends
-            else:
-                before, last, share = last, now, CLOSER
-        ends[few].put([k], last)
-        chord, sign = last.u - other.u, 1.0 if many == 0 else -1.0
-        for _ in range(CHORD_STEPS):
-            length = float(np.linalg.norm(chord))
-            closer = (_beside(problem, other, chord / length, share * length) for share in CHORD_SHARES)
-            now = next((now for now in closer if now is not None), None)
-            if now is None:
-                break
-            other = now.along(sign * now.tangent)
-            chord = last.u - other.u
-        ends[many].put([k], other)
-    return changes._replace(near=ends[0], far=ends[1])
-
-
-def _beside(problem: Problem, point: Points, row: Unknowns, step: float) -> Points | None:
-    """Return the orbit with the same events at a distance from a point along `row`, or None."""
-    guess = point.u + step * row
-    now, converged = problem.correct(point.family, guess, row, np.einsum("ij,ij->i", row, guess))
-    return now if converged[0] and (now.signature == point.signature).all() else None
-
-
 def _touching_end_first(changes: Brackets) -> Brackets:
     """Return located changes of events with `near` at the change, where only one end of the bracket has moved to it.
 
@@ -213,7 +156,7 @@ def _touching_end_first(changes: Brackets) -> Brackets:
     near, far = changes.near, changes.far
     apart = np.abs(far.u - near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
     swapped = changes._replace(near=far, far=near)
-    other = apart & (far.margin < near.margin)
+    other = apart & (far.margin < near.margin) & ~changes.ends
     return Brackets.join([changes.of(~other), swapped.of(other)])
 
 
@@ -267,60 +210,6 @@ SAME_PERIOD = 1e-4
 """Largest relative difference of the period between two descriptions of one motion with different crossings."""
 
 
-NODES, NODE_RATIO = 1e-3 * 2.0 ** np.arange(6), 2.0
-"""Margins from which a graze is extrapolated (at much smaller ones, events are too near to be told apart), and least
-ratio of the margins of two points."""
-
-NODE_POLISHES = 2
-"""Newton steps after convergence, which is judged relative to the multipliers."""
-
-EXTRAPOLATED_WITHIN = 1e-7
-"""Largest scaled difference between extrapolations of a graze by polynomials of successive degrees."""
-
-
-def extrapolated_graze(problem: Problem, points: Points) -> Unknowns | None:
-    """Return the unknowns (1, unknowns) at the graze to which a branch leads from the side with more events, or None.
-
-    The map has a square root there, and multipliers grow without limit, so that the branch stalls short of the graze.
-    In the velocity of the grazing impact, to which the margin is proportional, the branch is smooth (Nordmark, *Journal
-    of Sound and Vibration* 145 (1991), 279). A polynomial through orbits with small margins leads to the margin zero.
-    `points`: of one branch, the last one next to the graze.
-    """
-    same = (points.signature == points.signature[-1]).all(axis=1)
-    known: list[int] = []
-    for k in range(len(same) - 1, np.flatnonzero(~same).max(initial=-1), -1):
-        if points.margin[k] >= (NODE_RATIO * points.margin[known[-1]] if known else NODES[0] / 2):
-            known.append(k)
-    known = known[: len(NODES)]
-    if len(known) < 2:
-        return None
-    guess = np.concatenate([_neville(points.margin[known], points.u[known], m)[-1] for m in NODES])
-    family, row = np.repeat(points.family[:1], len(guess)), np.repeat(guess[-1:] - guess[:1], len(guess), axis=0)
-    row /= np.linalg.norm(row, axis=1, keepdims=True)
-    level = np.einsum("ij,ij->i", row, guess)
-    nodes, converged = problem.correct(family, guess, row, level)
-    for _ in range(NODE_POLISHES):
-        short = np.einsum("ij,ij->i", row, nodes.u) - level
-        step = solve_bordered(nodes.matrix, row, -np.column_stack([nodes.off, short]))
-        nodes = problem.evaluate(family, nodes.u + np.nan_to_num(step))
-    nodes = nodes.of(converged & (nodes.signature == points.signature[-1]).all(axis=1))
-    if len(nodes.u) < 3 or not (np.diff(nodes.margin) > 0).all():
-        return None
-    before, limit = _neville(nodes.margin, nodes.u, 0.0)[-2:]
-    error = np.abs(limit - before).max()
-    return limit if error < min(EXTRAPOLATED_WITHIN, np.abs(limit - points.u[-1]).max()) else None
-
-
-def _neville(x: PerLane, y: Unknowns, at: float) -> list[np.ndarray]:
-    """Return the values (1, columns) at one place of the polynomials through the first 1, 2, ... points."""
-    rows, values = y, [y[:1]]
-    for degree in range(1, len(x)):
-        low, high = (x[:-degree] - at)[:, None], (x[degree:] - at)[:, None]
-        rows = (high * rows[:-1] - low * rows[1:]) / (high - low)
-        values.append(rows[:1])
-    return values
-
-
 def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Brackets]:
     """Find the continuations of branches beyond the corners at their ends.
 
@@ -347,7 +236,7 @@ def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Br
             beyond.put(open_lanes[kept], onward.of(kept))
             known.append(known[0].copy())
             known[-1][open_lanes] = other.signature
-    return turned, Brackets(np.full(len(lanes), EVENT_CHANGE), lanes, before, beyond)
+    return turned, Brackets(np.full(len(lanes), EVENT_CHANGE), lanes, before, beyond, np.zeros(len(lanes), bool))
 
 
 def _other_side(problem: Problem, last: Points, known: Sequence[np.ndarray]) -> Points:

@@ -64,18 +64,19 @@ class Margin:
     derives: bool = False
 
     def begin(self, zero: Lanes, mode: Values) -> Array:
-        """Return the rows (6, lanes) before the first step; see `after`."""
+        """Return the rows (7, lanes) before the first step; see `after`."""
         far = jnp.full_like(zero, jnp.inf)
         rests = reduce(jnp.logical_or, self.scene.at_rest(mode).values(), zero > 0)
-        return jnp.stack([far, far, far, jnp.where(rests, 0.0, far), far, jnp.where(rests, -far, far)])
+        return jnp.stack([far, far, far, jnp.where(rests, 0.0, far), far, jnp.where(rests, -far, far), far])
 
     def after(self, rows: Array, armed: Flags, lane: Lane, step: Step) -> Array:
-        """Return the minimum of `rows` (6, lanes) and of the margins within `step`, which leads to `lane`.
+        """Return the minimum of `rows` (7, lanes) and of the margins within `step`, which leads to `lane`.
 
-        The last three rows are for bounces that may end in rest: the margin of the last bounce, the least margin of the
-        bounces since the first of the series, and the margin of the first bounce since the section. The latter has a
-        negative sign if its series has ended in rest; then it does not count if the series began before the section.
-        It is minus infinity if the motion is at rest at the section.
+        The last row is infinite until the first step after an event, then 0. The three rows before it are for bounces
+        that may end in rest: the margin of the last bounce, the least margin of the bounces since the first of the
+        series, and the margin of the first bounce since the section. The latter has a negative sign if its series has
+        ended in rest; then it does not count if the series began before the section. It is minus infinity if the motion
+        is at rest at the section.
         `armed`: mask of lanes whose next zero of the section's velocity is a crossing.
         """
         if not self.derives:
@@ -85,13 +86,14 @@ class Margin:
         scales = self.scene.typical_guard_values(self.c, step.mode, step.before)
         # The fastest rate of the free motion [1/s].
         pace = self.scene.rate(self.c, tuple(jnp.full_like(step.dt, mode.calmest) for mode in self.scene.modes))
-        at_switches, of_section = self._at_switches(lane, step), self._of_section(armed, step, pace)
+        fresh = jnp.isinf(rows[6])
+        at_switches, of_section = self._at_switches(lane, step), self._of_section(armed, step, pace, fresh)
         switches, others, reach = (
             [rows[0], *at_switches],
             [rows[1], *of_section],
             [rows[2], *at_switches, *of_section],
         )
-        last, series, first = rows[3:]
+        last, series, first = rows[3:6]
         before, after = self.scene.at_rest(step.mode), self.scene.at_rest(lane.mode)
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             if guard.name in self.scene.clocks:
@@ -99,7 +101,7 @@ class Margin:
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
             hit = self.considered(guard.name, "hit", _at_hit(f, step, step.hits[guard.name], scale * pace))
-            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale))
+            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, fresh))
             if guard.name in before:
                 bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
                 slower = bounces & (hit < last)
@@ -116,7 +118,9 @@ class Margin:
             margins += [hit, miss]
             reach += [hit, jnp.sqrt(lax.stop_gradient(miss))]
         least = (reduce(jnp.minimum, margins) for margins in (switches, others, reach))
-        return jnp.stack([*least, last, series, first])
+        ended = reduce(jnp.logical_or, step.hits.values(), step.dt < 0)
+        begins = jnp.where(ended, jnp.inf, jnp.where(step.dt > 0, 0.0, rows[6]))
+        return jnp.stack([*least, last, series, first, begins])
 
     def total(self, rows: Array) -> Array:
         """Return the margins (3, lanes) after the last step, if no series of bounces passes the section."""
@@ -130,9 +134,9 @@ class Margin:
     @staticmethod
     def ends(rows: Array) -> Array:
         """Return the rows (5, lanes) of one return that `over_period` combines with those of the others."""
-        return jnp.stack([jnp.minimum(rows[0], rows[1]), *rows[2:]])
+        return jnp.stack([jnp.minimum(rows[0], rows[1]), *rows[2:6]])
 
-    def _of_section(self, armed: Flags, step: Step, pace: Lanes) -> list[Array]:
+    def _of_section(self, armed: Flags, step: Step, pace: Lanes, fresh: Flags) -> list[Array]:
         section = self.section
         if section is None:
             return []
@@ -142,7 +146,7 @@ class Margin:
         if section.velocity in self.scene.clocks:  # it always has its typical rate
             return [jnp.where(hit & armed, 1.0, jnp.full_like(pace, jnp.inf))]
         away = [-coefficient for coefficient in velocity] if section.rising else velocity
-        near = jnp.where(armed, _near_miss(away, step, speed), jnp.inf)
+        near = jnp.where(armed, _near_miss(away, step, speed, fresh), jnp.inf)
         return [_at_hit(velocity, step, hit & armed, speed * pace), near]
 
     def _at_switches(self, lane: Lane, step: Step) -> list[Array]:
@@ -177,16 +181,18 @@ def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> "jax.Array"
     return jnp.where(hit, jnp.abs(slope(f, step.tau)) / (step.h * rate), jnp.inf)
 
 
-def _near_miss(f: Coefficients, step: Step, scale: Array) -> "jax.Array":
-    """Return the positive minimum of a function within the step, divided by `scale`; infinity without a minimum.
+def _near_miss(f: Coefficients, step: Step, scale: Array, fresh: Flags) -> "jax.Array":
+    """Return the minimum of a function within the step, at least 0, over `scale`; infinity without a minimum.
 
-    Steps end where friction reverses, and hence at minima of gaps, where the slope is a rounding error.
+    Steps end where friction reverses, and hence at minima of gaps, where the slope is a rounding error. `fresh`: mask
+    of the steps that begin with an event.
     """
     turns, place = turning(f, step.tau, 2)
     least = value(f, place)
     # A motion that has just left a surface along a tangent begins next to it, with a rate that is a rounding error.
-    departed = f[0] <= DEPARTED * scale
-    return jnp.where(turns & (least > 0) & ~departed, least / scale, jnp.inf)
+    departed = (fresh | (jnp.abs(f[1]) <= DEPARTED * scale)) & (f[0] <= DEPARTED * scale)
+    # Down to the resolution of events, a guard may pass zero without one: the motion grazes.
+    return jnp.where(turns & ~departed, jnp.maximum(least, 0.0) / scale, jnp.inf)
 
 
 def turning(f: Coefficients, end: Array, iterations: int = 3) -> tuple[Flags, Array]:

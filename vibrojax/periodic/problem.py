@@ -341,7 +341,27 @@ class Problem:
             if not len(active):
                 break
             best.put(active, self.evaluate(family[active], now.u[sound] + step[sound]))
+        best.put(converged, self.off_stops(best.of(converged), row[converged], value[converged]))
         return best.along(row), converged
+
+    def touching(self, points: Points) -> Flags:
+        """Return a mask of orbits whose margin is not above the accepted residual; curves follow such orbits."""
+        return (points.margin <= CORRECTOR_RESIDUAL) & self.at_section & (len(self.along) == 1)
+
+    def off_stops(self, points: Points, row: Unknowns, value: PerLane) -> Points:
+        """Return accepted points, improved where the margin is not above the accepted residual.
+
+        Such a residual may put a state that rests or sticks at a stop into the stop, which it then strikes.
+        """
+        lanes = np.flatnonzero(self.touching(points))
+        if len(lanes):
+            now, row = points.of(lanes), row[lanes]
+            short = np.einsum("ij,ij->i", row, now.u) - value[lanes]
+            step = solve_bordered(now.matrix, row, -np.column_stack([now.off, short]))
+            again = self.evaluate(now.family, now.u + np.nan_to_num(step))
+            better = again.residual < now.residual
+            points.put(lanes[better], again.of(better))
+        return points
 
 
 def solve_bordered(matrix: Float[np.ndarray, "lanes equations unknowns"], row: Unknowns, right: Unknowns) -> Unknowns:
