@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from textwrap import dedent
 
 import numpy as np
@@ -76,7 +77,7 @@ def test_single_motions_are_numbered(folder, capsys):
 
 def test_dataset_of_an_earlier_version_is_not_replaced(folder):
     path = folder / "map.nc"
-    vj.write_dataset(vj.open_dataset(vj.__path__[0] + "/../tests/data/versions/0.1.0/rates.nc"), path)
+    vj.write_dataset(vj.open_dataset(Path(__file__).parent / "data" / "versions" / "0.1.0" / "rates.nc"), path)
     identity = read_sweep({"scene": "rotary", "grid": {"gamma": [0.7]}}).identity()
     with pytest.raises(vj.InputError, match="it holds this result; --fresh"):
         check_replaceable(path, identity)

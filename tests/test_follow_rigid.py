@@ -126,7 +126,7 @@ def test_fold_and_period_doubling_of_ball_on_shaken_table(phase, last):
             assert ((points > low) & (points < doublings[doublings > low].min())).any()
 
 
-@pytest.mark.parametrize("at", [0.27, 0.3])
+@pytest.mark.parametrize("at", [pytest.param(0.27, marks=pytest.mark.long), 0.3])
 def test_end_of_chatter_is_no_graze(at):
     """A ball leaves the table where its acceleration exceeds gravity. The end of its bounces passes the section at the
     amplitude 0.3218; further bounces before rest appear as the amplitude grows.
@@ -219,7 +219,11 @@ def rubbed_at_a_wall(a, zeta, d, r, mu, w):
 
 
 @pytest.mark.parametrize(
-    ("at", "states", "near"), [(0.5375127342607715, [0.48732077, -0.28777351], 0.5), (0.85, [0.64, 0.12], 0.9)]
+    ("at", "states", "near"),
+    [
+        (0.5375127342607715, [0.48732077, -0.28777351], 0.5),
+        pytest.param(0.85, [0.64, 0.12], 0.9, marks=pytest.mark.long),
+    ],
 )
 def test_no_step_leads_over_a_graze_and_a_fold(at, states, near):
     """Between them three orbits coexist, in the second case within 1e-5. A step could lead over both."""
@@ -233,7 +237,11 @@ def test_no_step_leads_over_a_graze_and_a_fold(at, states, near):
 
 
 @pytest.mark.parametrize(
-    ("at", "states"), [(2.3216075, [-0.5568880757, 0.2205922152]), (2.1016626655, [-0.6736863982, 0.3782824034])]
+    ("at", "states"),
+    [
+        (2.3216075, [-0.5568880757, 0.2205922152]),
+        pytest.param(2.1016626655, [-0.6736863982, 0.3782824034], marks=pytest.mark.long),
+    ],
 )
 def test_end_at_a_graze_against_friction_is_the_same_from_both_sides(at, states):
     """Orbits of one impact in two periods end where the mass without impacts grazes; rounding errors make it stick."""
@@ -294,7 +302,7 @@ STICKS_AT_STOP = mass(
 )
 
 
-@pytest.mark.parametrize("at", [0.7, 0.3])
+@pytest.mark.parametrize("at", [pytest.param(0.7, marks=pytest.mark.long), 0.3])
 def test_bounce_that_vanishes_with_the_restitution_is_no_graze(at):
     """At small r the mass sticks next to the stop or rests on it; one impact in a period remains, as r = 0 has it."""
     family = vj.follow(

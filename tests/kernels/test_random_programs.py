@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from jax import lax
 from jax.interpreters import ad
+from test_kernel import put
 
-from tests.kernels.test_kernel import put
 from vibrojax.compile import elementwise, native, rows, translation
 from vibrojax.compile.assembly import LLVM_TYPES
 from vibrojax.compile.native import Kernel, trace
