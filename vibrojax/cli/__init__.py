@@ -3,6 +3,7 @@
 Nothing heavy is imported until a command runs, so that `--help` responds immediately.
 """
 
+import ctypes
 import gc
 import logging
 import os
@@ -82,6 +83,11 @@ COLLECTED_AFTER = 500_000
 search among 300,000 objects takes 0.2 s; with Python's default, 700 or 2,000, they take 7 % of a first map."""
 
 
+M_ARENA_MAX = -8
+"""Option of glibc's `mallopt`. With one arena for all threads instead of one each, which keep what they have freed, a
+sweep of a million lanes takes 0.40 instead of 0.59 GB and 10 % less time."""
+
+
 def command() -> None:
     """Run the command of this process, and exit with its status."""
     # The parent process may have set a signal to be ignored; keep that setting.
@@ -91,6 +97,8 @@ def command() -> None:
         signal.signal(signal.SIGINT, lambda *_: _end(KeyboardInterrupt()))
     warnings.showwarning = _warn
     gc.set_threshold(COLLECTED_AFTER, *gc.get_threshold()[1:])
+    with suppress(AttributeError, OSError):  # of other C libraries than glibc
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     status = main(do=in_own_thread)
     for number in (signal.SIGINT, signal.SIGTERM):  # the work is done; Python's clean-up must not be interrupted
         signal.signal(number, signal.SIG_IGN)
