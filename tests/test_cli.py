@@ -83,6 +83,7 @@ BAD = {
     "sweep map.toml -o taken.nc": '-o: "taken.png" is a folder',
     "simulate rotary beta=1 beta=2": 'simulate: beta: "2" is a second value',
     "simulate rotary beta=0,4": 'simulate: beta: "0,4" is text; write 0.4, with a point',
+    "push beta=0.4": "push: the scene is missing; write vibrojax push SCENE beta=0.4",
     "scenes rotary x=1": "scenes: unrecognized arguments: x=1; see vibrojax scenes --help",
     "simulate rotary start=[0,0": 'simulate: start: "[0,0" is not a vector',
 }

@@ -68,7 +68,7 @@ def parameters_of(ds: xr.Dataset) -> dict[str, float]:
 
 
 def parameter_units_of(ds: xr.Dataset) -> dict[str, str]:
-    """Return the units of the parameters of a scene of the user's own, by name; those of the package have the rest."""
+    """Return the units of the parameters of a scene of the user's own, by name; empty for scenes of the package."""
     return {name: printable(unit, LONGEST_NAME) for name, unit in _read(ds, "parameter_units", {}).items()}
 
 

@@ -204,7 +204,7 @@ def shared_attributes(sweep: Sweep, kind: str, title: str, command: str) -> dict
 
 
 def attributes_of_parameters(scene: Scene[Any], values: Mapping[str, float]) -> dict[str, str]:
-    """Return the attributes that state the fixed parameters, with units of those that other processes do not know."""
+    """Return the attributes that state the fixed parameters; of a scene of the user's own, also their units."""
     table = scene.parameters()
     stated = {"parameters": json.dumps(values), "differing": json.dumps(differing(table, values))}
     units = {name: table[name].unit for name in values if name in table and table[name].unit != "1"}

@@ -183,7 +183,7 @@ class SystemScales(SystemEquations):
         return terms, one
 
     def small_changes(self, c: SystemConstants, state: Values) -> Values:
-        # In no system that is built of equal parts do these changes belong to one way of moving.
+        # Equal parts get unequal changes, so that no way in which they move against each other is left out.
         factors = (1.0 + GOLDEN * k % 1.0 for k in range(len(self._own)))
         return tuple(
             x * jnp.where(c.typical[name] > 0, c.typical[name], 1.0) for name, x in zip(self._own, factors, strict=True)
