@@ -12,6 +12,8 @@ from vibrojax.lanes import drift as drift_module
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.read import read_sweep
 from vibrojax.measures.labels import IRREGULAR, LABELLED_BY, MULTI_IMPACT
+from vibrojax.measures.repeats import Seen
+from vibrojax.measures.section import Passed, Settling
 from vibrojax.periodic.settled_on_orbit import EarlyEnds
 from vibrojax.scenes import SCENES
 from vibrojax.stepping import Accuracy
@@ -301,6 +303,18 @@ def test_ends_of_transients_are_compared(fine, check, differ):
     """A lane is flagged if only one of its two runs becomes periodic, or each at another time."""
     runs = crossings(fine, 1), crossings(check, 2)
     assert module.ends_differ(*runs, SCENES["rotary"].section).tolist() == [differ]
+
+
+def test_runs_that_have_not_separated_need_no_others():
+    """Two runs are beside each other if no crossing differs; a lane without crossings is beside itself."""
+    times, states = np.tile(-0.2 * np.arange(8.0)[:, None], 6), np.full((8, 3, 6), 0.3)
+    times[3, 3] += 1e-3  # of the second run
+    states[7, 2, 4] += 1e-3
+    times[:, [2, 5]], states[..., [2, 5]] = np.nan, np.nan
+    none, zero, ones = np.zeros(6, bool), np.zeros(6), np.ones(6)
+    seen = Seen(none, zero, ((zero, zero),), states, times, 0 * times, zero)
+    returns = Settling(seen, Passed(none, states[0], zero, (ones, ones, ones)))
+    assert module._beside(returns).tolist() == [False, False, True]
 
 
 @pytest.mark.long

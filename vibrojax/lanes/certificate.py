@@ -178,6 +178,10 @@ SECOND_RUNS, LANE_SECONDS = 8, 25e3
 simulated seconds]. In such a sweep they take a second. In a large sweep of irregular lanes, they would take five times
 as long as everything else."""
 
+BESIDE = 1e-4
+"""Distance between section crossings of two runs, relative to the scales of states and the longest return interval, up
+to which they count as the same. Labels tell crossings apart from a distance of 1e-3."""
+
 LANES_AT_ONCE = 64
 """Number of lanes up to which second runs are made at once. Beyond it, lanes that are found sensitive are left out of
 the next run."""
@@ -206,15 +210,20 @@ def sensitive(
     run, irregular = engine.run, np.flatnonzero((cycles == 0) & features["finished"] & features["finite"])
     end = run.settle + run.observe
     if lanes_of_run * end <= LANE_SECONDS and len(irregular):
-        # Exclude lanes that have become periodic by the end of their observation.
-        irregular = irregular[~_repeat(engine, start.of(irregular), end)]
+        # Left out are lanes that have become periodic by the end of their observation, and those of which the run with
+        # the greatest change stays beside the main one: runs with smaller changes then stay there, too.
+        lanes = start.of(np.tile(irregular, 2))
+        both = _returns(engine, _changed(engine, lanes, np.repeat([0, SECOND_RUNS], len(irregular))), end)
+        repeat, other = repeats_lately(both, end).reshape(2, -1)
+        flags[irregular[~repeat & other]] = 1
+        irregular = irregular[~(repeat | other | _beside(both))]
         changes = 1
-        while changes <= SECOND_RUNS and len(irregular):
+        while changes < SECOND_RUNS and len(irregular):
             # Runs of a few lanes are made at once, because they would not fill the vectors of a processor.
-            runs = np.arange(changes, min(changes + max(1, LANES_AT_ONCE // len(irregular)), SECOND_RUNS + 1))
+            runs = np.arange(changes, min(changes + max(1, LANES_AT_ONCE // len(irregular)), SECOND_RUNS))
             lanes = start.of(np.tile(irregular, len(runs)))
-            repeat = _repeat(engine, _changed(engine, lanes, np.repeat(runs, len(irregular))), end)
-            flags[irregular[repeat.reshape(len(runs), -1).any(axis=0)]] = 1
+            returns = _returns(engine, _changed(engine, lanes, np.repeat(runs, len(irregular))), end)
+            flags[irregular[repeats_lately(returns, end).reshape(len(runs), -1).any(axis=0)]] = 1
             irregular = irregular[flags[irregular] == 0]
             changes = int(runs[-1]) + 1
     return flags
@@ -228,14 +237,23 @@ def _changed(engine: Engine, start: Batch, changes: int | Index) -> Batch:
     return engine.begun(replace(start, given=start.given._replace(parameters=parameters)))
 
 
-def _repeat(engine: Engine, batch: Batch, end: float) -> Bool[np.ndarray, " lanes"]:
-    """Step lanes from t = 0 and return a mask: True for lanes that are periodic at the time `end` [s]."""
-    return repeats_lately(_returns(engine, batch, np.full_like(batch.begin, end)), end)
+def _beside(returns: Settling) -> Bool[np.ndarray, " lanes"]:
+    """Return for which lanes two runs have the same last section crossings: the first and the second half of `returns`.
+
+    As long as the runs are so close to each other, their distance is proportional to the change.
+    """
+    seen, scales = returns.seen, returns.passed.scales
+    places = np.concatenate([seen.states[:, : len(scales)], seen.times[:, None]], axis=1)
+    main, other = np.split(places, 2, axis=-1)
+    scale, _ = np.split(np.stack([*scales, np.fmax.reduce(seen.times[:-1] - seen.times[1:], axis=0)]), 2, axis=-1)
+    same = (np.abs(main - other) < BESIDE * scale) | (np.isnan(main) & np.isnan(other))
+    return np.asarray(same.all(axis=(0, 1)))
 
 
-def _returns(engine: Engine, batch: Batch, until: PerLane) -> Settling:
-    """Step lanes to the times `until` [s] and return their last section crossings."""
-    [batch] = engine.settle([replace(batch, begin=until.astype(batch.begin.dtype))])
+def _returns(engine: Engine, batch: Batch, until: float | PerLane) -> Settling:
+    """Step lanes from t = 0 to the times `until` [s] and return their last section crossings."""
+    begin = np.broadcast_to(until, batch.begin.shape).astype(batch.begin.dtype)
+    [batch] = engine.settle([replace(batch, begin=begin)])
     assert batch.underway is not None
     returns: Settling = batch.underway.carry
     return returns
