@@ -5,6 +5,7 @@ import os
 import re
 import stat
 import warnings
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import BinaryIO
@@ -116,10 +117,11 @@ def _text(amount: int | float, unit: str, largest_plain: float) -> str:
     return f"{amount:,.0f} {unit}" if plain else f"{amount:.3g} {unit}"
 
 
-def package_version() -> str:
-    """Return the installed version of this package, or "0+unknown" if the package is not installed."""
+@cache
+def package_version(package: str = "vibrojax") -> str:
+    """Return the installed version of a package, or "0+unknown" if it is not installed."""
     try:
-        return version("vibrojax")
+        return version(package)  # searches the folders of all packages each time
     except PackageNotFoundError:
         return "0+unknown"
 
@@ -131,4 +133,4 @@ def source() -> str:
 
 def provenance() -> dict[str, str]:
     """Return the attributes that state the origin of a dataset: `source` (name and version) and `jax` (version)."""
-    return {"source": source(), "jax": version("jax")}  # the last digits of results depend on jax's compiler
+    return {"source": source(), "jax": package_version("jax")}  # the last digits of results depend on jax's compiler

@@ -170,7 +170,7 @@ class InMemory:
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
         """Complete the dataset with its attributes, after all values have been written."""
-        variables = {name: self.dataset[name].variable for name in self._arrays}
+        variables = {name: self.dataset.variables[name] for name in self._arrays}
         columns = {name: (variables[name].dims, x, variables[name].attrs) for name, x in self._arrays.items()}
         self.dataset = self.dataset.assign(columns).assign_attrs(attributes)
 
