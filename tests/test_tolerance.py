@@ -82,6 +82,8 @@ def test_search_from_extreme_samples_finds_extremes_of_box():
     assert 0 < added <= tried < 200 and ds.sizes["point"] == len(units) + added
     for name in ("impact_velocity", "period"):  # the corners are the greatest, and nothing leaves the box
         assert float(ds[name].max()) == float(sampled[name].max())
+    forced = sampled[["cycles"]].assign(period=1 + 1e-15 * sampled.period)  # constant but for rounding
+    assert refine(units, forced, closed_form)[2] == 0
 
 
 def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():

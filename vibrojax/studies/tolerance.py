@@ -65,8 +65,8 @@ SHRINKAGE = 0.4
 MAX_ROUNDS = 12
 """Limit of the rounds, each of which is one batch of lanes."""
 
-SAME_POINT = 1e-9
-"""Distance in half-widths within which two points count as one."""
+SAME_POINT, SAME_VALUE = 1e-9, 1e-12
+"""Distance in half-widths within which two points count as one, and relative range within which a quantity does."""
 
 Units = Float[np.ndarray, "samples dimensions"]
 
@@ -405,6 +405,8 @@ def refine(
     best, steps = np.array(-1), np.array(FIRST_STEP)
     for _ in range(MAX_ROUNDS):
         goals = np.concatenate([_goals(part) for part in parts], axis=1)
+        low, high = np.fmin.reduce(goals, axis=1), np.fmax.reduce(goals, axis=1)
+        goals[high - low <= SAME_VALUE * np.abs(high)] = np.nan  # a constant, as the period that a forcing sets
         known = ~np.isnan(goals).all(axis=1)
         greatest = np.where(known, np.where(np.isnan(goals), -np.inf, goals).argmax(axis=1), -1)
         steps = np.where(known & (greatest == best), SHRINKAGE * steps, steps)
