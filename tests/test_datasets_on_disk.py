@@ -56,6 +56,8 @@ def test_foreign_files_are_refused(tmp_path, capsys):
     folder.mkdir()
     sweep = tmp_path / "map.toml"
     sweep.write_text("scene = 'rotary'\n")
+    picture = tmp_path / "map.png"
+    picture.write_bytes(b"\x89PNG")
     cut = tmp_path / "cut.nc"
     cut.write_bytes(RATES.read_bytes()[: RATES.stat().st_size // 2])
     for command, path, problem in (
@@ -67,6 +69,7 @@ def test_foreign_files_are_refused(tmp_path, capsys):
         ("info", ".", "is a folder"),
         ("fit", tmp_path / "gone.nc", "there is no such file"),
         ("info", sweep, f"is not a dataset; give the .nc file that vibrojax sweep {sweep} writes"),
+        ("explore", picture, "is not a dataset; give the .nc file from which it was made"),
     ):
         assert f"{path}: {problem}" in command_refusal(capsys, command, path)
 

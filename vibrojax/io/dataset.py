@@ -12,7 +12,7 @@ import xarray as xr
 from vibrojax.errors import InputError
 from vibrojax.io.atomic import ZARR, restore
 from vibrojax.io.attributes import check_attributes
-from vibrojax.io.identity import MARK
+from vibrojax.io.identity import MARK, MARKED
 from vibrojax.io.kinds import KIND, check_kind, check_structure, kind_of
 from vibrojax.io.trust import LAZY_FROM, readable
 from vibrojax.io.variables import VARIABLES
@@ -50,6 +50,8 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     if path.suffix == ".toml":
         command = shlex.join(["vibrojax", "sweep", str(path)])
         raise InputError(f"{path}: is not a dataset; give the .nc file that {command} writes")
+    if path.suffix in MARKED:
+        raise InputError(f"{path}: is not a dataset; give the .nc file from which it was made")
     if path.suffix == ZARR:
         check_zarr(path)
     try:

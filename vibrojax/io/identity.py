@@ -24,14 +24,14 @@ GENERATOR = f'<meta name="generator" content="{MARK} '
 PICTURE_KEYS = {".png": "Software", ".pdf": "Creator", ".svg": "Creator"}
 """Key of a picture's metadata that names the program that wrote it, by the suffix of the file."""
 
-_MARKS = {
+MARKED = {
     ".png": re.compile(rb"\A\x89PNG.*?Software\0vibrojax ", re.DOTALL),
     ".pdf": re.compile(rb"\A%PDF.*/Creator \(vibrojax ", re.DOTALL),
     ".svg": re.compile(rb"<dc:creator>\s*<cc:Agent>\s*<dc:title>vibrojax "),
     ".html": re.compile(re.escape(GENERATOR.encode())),
     ".md": re.compile(rb"<!-- vibrojax [^>]*-->\n\Z"),
 }
-"""Mark of each kind of file other than datasets."""
+"""Mark of each kind of file other than datasets, by suffix."""
 
 _IN_STORE = re.compile(r"\.zgroup|\.zattrs|\.zmetadata|\.zarray|\d+(\.\d+)*")
 """Names of the files of a store: metadata and chunks."""
@@ -69,7 +69,7 @@ def check_ours(path: Path) -> None:
 
 
 def _says_so(path: Path) -> bool:
-    mark = _MARKS.get(path.suffix.lower())
+    mark = MARKED.get(path.suffix.lower())
     try:
         if path.is_dir():
             attributes = json.loads(read_regular(path / ".zattrs", LARGEST_METADATA))
