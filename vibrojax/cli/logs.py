@@ -31,8 +31,8 @@ _READING = (
     argument(
         "file",
         "FILE",
-        "a sweep's dataset (.nc), a rig log as exported (CSV, LAS, WITSML, xlsx), or a CSV with columns relief (P/D, "
-        "mean force over the force at which the rock yields) and rate_of_penetration, or those that --columns names",
+        "a sweep's dataset (.nc), a rig log as exported (CSV, LAS, WITSML, xlsx), or a CSV with the columns relief "
+        "(P/D, mean force over the force at which the rock yields) and rate_of_penetration, or others (see --columns)",
         nargs="?",
     ),
     argument("--along", "AXIS", "axis along which rates are fitted (default: frequency, else v; for a CSV, its rows)"),
@@ -41,7 +41,7 @@ _READING = (
         "NAME=COLUMN",
         "columns of a CSV and their units, such as "
         'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, such as threshold="150 kN" '
-        "or rock=granite (its threshold); threshold=unknown is the default for rig logs",
+        "or rock=granite, which sets the threshold; threshold=unknown is the default for rig logs",
         **MANY,
     ),
     argument(

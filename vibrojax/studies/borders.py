@@ -322,7 +322,7 @@ class Borders(SweepAnalysis):
         default=None,
         metadata={
             "metavar": "X,Y",
-            "help": "the two axes of the plane (gamma and beta, else the two with most values)",
+            "help": "the two axes of the plane (default: gamma and beta, or else the two axes with the most values)",
         },
     )
     at: Any = field(
