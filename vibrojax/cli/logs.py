@@ -102,7 +102,7 @@ def _reading(options: Options, words: list[str]) -> tuple[dict[str, str], dict[s
     from vibrojax.io.log_columns import checked_columns, read_columns
 
     columns, reading = read_columns(words), {"where": options.where, "nulls": options.nulls}
-    checked_columns(columns)  # before an existing output is looked at
+    checked_columns(columns)  # before an existing output is read
     return columns, reading, {name: "; ".join(words) for name, words in reading.items() if words}
 
 

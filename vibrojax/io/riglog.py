@@ -380,8 +380,8 @@ def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines:
 def to_dataset(log: pd.DataFrame, dim: str = "row") -> xr.Dataset:
     """Return a log as a dataset along `dim`: quantities as variables, other columns as coordinates.
 
-    Its attributes are those of the table, as texts: `columns`, `dropped` (JSON), `rows_read`, `notes`, `title`, and
-    `dialect` ("log" or "plain").
+    Its attributes are the attributes of the table, as texts: `columns`, `dropped` (JSON), `rows_read`, `notes`,
+    `title`, and `dialect` ("log" or "plain").
     """
     data = xr.Dataset(
         {name: (dim, x.to_numpy() if x.dtype.kind in "fiu" else np.array(list(x), str)) for name, x in log.items()}

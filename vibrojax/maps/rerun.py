@@ -109,7 +109,7 @@ def orbits(
 
 
 def check_same_motions(stored: xr.Dataset, result: xr.Dataset) -> None:
-    """Raise `InputError` if the orbits of a sweep that was run again are not those of the stored lanes.
+    """Raise `InputError` if the orbits of a sweep that was run again differ from the stored lanes.
 
     So it is where sweeps with other fixed parameters were joined: the attributes are those of one of them. Of other
     edited datasets, whose coordinates may be new, the lanes are computed without a comparison.

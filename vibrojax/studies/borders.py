@@ -75,7 +75,7 @@ def borders(
     - Variables along `vertex`, in order on each curve: both parameters, and `curve`, a number for each curve.
     - Variables along `curve`: `kind`, with the coordinates `start` (the initial condition, or "any" for all orbits) and
       the values of the sweep's other axes. Beyond a border of the kind *basin*, the orbit exists, but the initial
-      condition does not lead to it; beyond a border of the kind *not-settled*, the motion had not settled by the end of
+      condition does not lead to it. Beyond a border of the kind *not-settled*, the motion had not settled by the end of
       its simulation. The flag `continued` is 1 if the curve was continued from the point `seed_NAME`, and 0 if not. The
       text `curve_note` states why the curve ends, or why it was not continued. The attribute `begun_from` describes the
       grid of the sweep.

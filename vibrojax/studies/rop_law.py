@@ -143,10 +143,10 @@ def fit_rop(
       force at the onset of penetration.
     - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset with the dimensions `form`, `lane` and those of the groups. The main variables of a fit are
-    the coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the
-    comparison of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute
-    `verdict` is the form that the data of all groups support, or "none".
+    **Returns:** a dataset with the dimensions `form` and `lane`, and the dimensions of the groups. The main variables
+    of a fit are the coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of
+    the comparison of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The
+    attribute `verdict` is the form that the data of all groups support, or "none".
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 
