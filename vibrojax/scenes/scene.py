@@ -368,7 +368,7 @@ class Scene(ABC, Generic[C]):
         return False
 
     def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
-        """Return masks of events by kind, for trajectories, in addition to those of friction, impacts and the section.
+        """Return masks of further events by kind, for trajectories: not friction, impacts and section crossings.
 
         `mode` is the mode before the event, `after` is the mode after it, and `hits` has the masks of guards and
         markers.

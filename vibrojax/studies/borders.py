@@ -76,9 +76,9 @@ def borders(
     - Variables along `curve`: `kind`, with the coordinates `start` (the initial condition, or "any" for all orbits) and
       the values of the sweep's other axes. Beyond a border of the kind *basin*, the orbit exists, but the initial
       condition does not lead to it. Beyond a border of the kind *not-settled*, the motion had not settled by the end of
-      its simulation. The flag `continued` is 1 if the curve was continued from the point `seed_NAME`, and 0 if not. The
-      text `curve_note` states why the curve ends, or why it was not continued. The attribute `begun_from` describes the
-      grid of the sweep.
+      its simulation. The flag `continued` is 1 if the curve was computed by continuation, from the point with the
+      parameters `seed_NAME`, and 0 if it joins points between grid points. The text `curve_note` states why the curve
+      ends, or why it was not continued. The attribute `begun_from` describes the grid of the sweep.
     - Variables along `crossing`, if the argument `at` is given: `crossing_curve` (number of the curve), and
       `crossing_NAME` (value of each parameter).
     - Variables along `region`: `region_area`, the fraction of the plane with a stable single impact, with the
