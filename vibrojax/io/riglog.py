@@ -85,7 +85,8 @@ def read_log(
     and all other columns of the file. The attributes `attrs` of the table are:
 
     - `units`, `sources`: unit and source of each quantity.
-    - `rows_read`: number of rows. `dropped`, `lines`: number and line numbers of dropped rows, by reason.
+    - `rows_read`: number of rows in the file, dropped rows included. `dropped`, `lines`: number and line numbers of
+      dropped rows, by reason.
     - `rig`: True if the file is the log of a rig.
     - `unusual`: name, quantity, median [SI] and advice for each column with an unlikely unit.
     - `notes`, `title`.
