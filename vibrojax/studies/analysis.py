@@ -143,7 +143,7 @@ class Analysis(Settings):
         return draw(self.plots(drawable(ds), layers))
 
     def plots(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Picture | Figure":
-        """Return the plots that make the picture of a dataset, or a figure; it raises the errors of `picture`."""
+        """Return the plots that form the picture of a dataset, or a figure; raise an error where `picture` does."""
         from vibrojax.pictures.contents import Contents
         from vibrojax.pictures.overlays import refuse_overlays
 
