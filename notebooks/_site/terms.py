@@ -17,11 +17,12 @@ PAGE = "files_and_symbols"
 SITE_WORDS = {
     "Batako's thesis": "Batako, *A self-exciting system for percussive-rotary drilling*, PhD thesis, "
     "Loughborough University: the source of the drill's equations, called *the source* in files and docstrings",
+    "default map": "map of the bundled sweep `regime-map`: 8,280 lanes over β, γ, gap and start",
     "ω₂/ω₁": "ratio γ (`gamma` in code) of the natural frequencies of striker and bit, each alone on its spring",
 }
 """Terms that only the site needs."""
 
-LINKED = ("lane", "regime", "relief P/D", "orbit", "multiplier", "family", "Batako's thesis")
+LINKED = ("lane", "regime", "relief P/D", "orbit", "multiplier", "family", "default map", "Batako's thesis")
 """Terms that are linked wherever they occur. Others, such as *section*, have everyday meanings too."""
 
 _PLURALS = {"family": "families", "relief P/D": "relief"}

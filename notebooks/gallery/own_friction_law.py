@@ -4,7 +4,7 @@ import vibrojax as vj
 
 law = vj.FrictionLaw(
     name="falling",
-    reference="a rig of one's own",
+    reference="my rig",
     parameters=vj.parameters.table(vj.parameters.positive("v_s", 1.8, "m s-1", "speed of the fall", "vₛ")),
     mu=lambda speed, p: 0.13 + 0.27 * vj.elementary.exp(-speed / p["v_s"]),
 )

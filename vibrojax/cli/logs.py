@@ -31,8 +31,8 @@ _READING = (
     argument(
         "file",
         "FILE",
-        "a sweep's dataset (.nc), a rig log as exported (CSV, LAS, WITSML, xlsx), or a CSV with columns relief (P/D, "
-        "mean force over the force at which the rock yields) and rate_of_penetration, or those that --columns names",
+        "a sweep's dataset (.nc), a rig log as exported (CSV, LAS, WITSML, xlsx), or a CSV with the columns relief "
+        "(P/D, mean force over the force at which the rock yields) and rate_of_penetration, or others (see --columns)",
         nargs="?",
     ),
     argument("--along", "AXIS", "axis along which rates are fitted (default: frequency, else v; for a CSV, its rows)"),
@@ -41,7 +41,7 @@ _READING = (
         "NAME=COLUMN",
         "columns of a CSV and their units, such as "
         'rate_of_penetration="ROP (m/h)" mean_force="WOB (kN)", or one value for all rows, such as threshold="150 kN" '
-        "or rock=granite (its threshold); threshold=unknown is the default for rig logs",
+        "or rock=granite, which sets the threshold; threshold=unknown is the default for rig logs",
         **MANY,
     ),
     argument(
@@ -102,7 +102,7 @@ def _reading(options: Options, words: list[str]) -> tuple[dict[str, str], dict[s
     from vibrojax.io.log_columns import checked_columns, read_columns
 
     columns, reading = read_columns(words), {"where": options.where, "nulls": options.nulls}
-    checked_columns(columns)  # before an existing output is looked at
+    checked_columns(columns)  # before an existing output is read
     return columns, reading, {name: "; ".join(words) for name, words in reading.items() if words}
 
 

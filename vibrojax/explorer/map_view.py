@@ -157,8 +157,8 @@ def _basin_states(ds: xr.Dataset) -> tuple[str, ...]:
 def first_cell(ds: xr.Dataset, variables: list[Document], along: list[str]) -> dict[str, int]:
     """Return the cell shown first: the single impact nearest to the middle, stable if that is known.
 
-    Other axes than `along`, those of the first view, begin at 0 if that has such a cell. Of attractors, it is the most
-    frequent one; of fits, the form with the lowest AIC.
+    On axes other than `along`, the axes of the first view, the index is 0 if a single impact exists there. For
+    attractors, the cell is the most frequent attractor; for fits, the form with the lowest AIC.
     """
     if FORM in ds.dims and "aic" in ds:
         aic = ds["aic"].median([dim for dim in ds["aic"].dims if dim != FORM])

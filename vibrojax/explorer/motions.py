@@ -132,7 +132,7 @@ class LiveMotions:
         return replace(cell, note="; ".join(filter(None, (cell.note, unsettled_text(float(drift)), *unusual))))
 
     def lane(self, number: object, check: Callable[..., None] | None = None) -> Cell:
-        """Return the motion of a lane of the sweep from its start; its numbers are those of the dataset."""
+        """Return the motion of a lane of the sweep from its start, with the numbers of the dataset."""
         number = self._number(number)
         assert self.sweep is not None
         lane = self.sweep.inputs_of(np.array([number]))

@@ -133,7 +133,7 @@ def _cell(
     """Return a part of a motion.
 
     **Arguments:** `path`: times and states that show how the states move; `ends`: times of all events, which get a
-    sample, or one on each side of a jump; `states_at`: function of times that returns states with attributes, and flags
+    sample, or one on each side of a jump. `states_at`: function of times that returns states with attributes, and flags
     without events; `crossings`: function of the times of section crossings that returns the states there; `fineness`:
     ratio of the number of samples to that of a lane.
     """

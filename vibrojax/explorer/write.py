@@ -70,7 +70,7 @@ def write_page(
     **Returns:** the path.
 
     **Raises:** `InputError` if the dataset holds nothing to show, if the overlay or the sweep does not belong to the
-    dataset, or if another program wrote the existing file at `path`; `OSError` if the file cannot be written.
+    dataset, or if another program wrote the existing file at `path`. `OSError` if the file cannot be written.
 
     **Example:**
 

@@ -91,7 +91,7 @@ def _temporary(path: Path, ending: str) -> Path:
 
 
 def _prefix(path: Path) -> str:
-    """Return the beginning of temporary names for `path`; machines that share a folder number processes alike."""
+    """Return the beginning of temporary names for `path`; process numbers of machines that share a folder may agree."""
     return f".{path.name}.{socket.gethostname()}-"
 
 

@@ -26,8 +26,8 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
 
     - `path`: path of the netCDF file or Zarr store.
 
-    **Returns:** the dataset, in memory. In a dataset above 128 MB, each variable is read when it is first used, or in
-    parts if dask is installed.
+    **Returns:** the dataset. Up to 128 MB, it is in memory. Above 128 MB, each variable is read when it is first used,
+    or in parts if dask is installed.
 
     **Raises:** `InputError` if the file is missing, not netCDF, truncated, not written by this package, or malformed.
 

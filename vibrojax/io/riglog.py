@@ -85,7 +85,8 @@ def read_log(
     and all other columns of the file. The attributes `attrs` of the table are:
 
     - `units`, `sources`: unit and source of each quantity.
-    - `rows_read`: number of rows. `dropped`, `lines`: number and line numbers of dropped rows, by reason.
+    - `rows_read`: number of rows in the file, dropped rows included. `dropped`, `lines`: number and line numbers of
+      dropped rows, by reason.
     - `rig`: True if the file is the log of a rig.
     - `unusual`: name, quantity, median [SI] and advice for each column with an unlikely unit.
     - `notes`, `title`.
@@ -380,8 +381,8 @@ def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines:
 def to_dataset(log: pd.DataFrame, dim: str = "row") -> xr.Dataset:
     """Return a log as a dataset along `dim`: quantities as variables, other columns as coordinates.
 
-    Its attributes are those of the table, as texts: `columns`, `dropped` (JSON), `rows_read`, `notes`, `title`, and
-    `dialect` ("log" or "plain").
+    Its attributes are the attributes of the table, as texts: `columns`, `dropped` (JSON), `rows_read`, `notes`,
+    `title`, and `dialect` ("log" or "plain").
     """
     data = xr.Dataset(
         {name: (dim, x.to_numpy() if x.dtype.kind in "fiu" else np.array(list(x), str)) for name, x in log.items()}

@@ -42,11 +42,11 @@ _THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}([{mark}]\d{{3}})+([.,]\d+)
 
 
 def read_table(path: Path) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
-    """Return the header of a CSV with points, the number of its line, and the other rows with those of theirs.
+    """Return the header of a CSV with points and its line number, and the other rows with their line numbers.
 
     Commas in numbers between semicolons are decimal marks; a warning says so.
 
-    **Raises:** `InputError` if the header is no list of names or, while reading rows, if one has other columns.
+    **Raises:** `InputError` if the header is not a list of names or, while reading rows, if a row has other columns.
     """
     place, text = Place(str(path)), read_text(path)
     rows, is_german = csv_rows(place, text), _separator(text) == ";"

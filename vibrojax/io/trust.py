@@ -1,4 +1,4 @@
-"""Which datasets this process may read: those that seals show to be of this user and account, and copies of others.
+"""Seals of datasets: this process reads datasets whose seal names this user and account, and copies of all others.
 
 A seal is a digest that shows damage, and a code that shows that this user wrote the dataset. It is part of the file and
 not of the dataset: bytes after the end of an HDF5 file, which its readers ignore, and a key of the file `.zmetadata` of

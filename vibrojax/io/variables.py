@@ -143,7 +143,7 @@ VARIABLES: dict[str, Variable] = {
         notes={"definition": "impact_energy impacts/(cycles period); 0 without impacts, NaN if cycles is 0"},
     ),
     "blow_frequency": Variable("min-1", "impacts per minute"),
-    "peak_impact_force": Variable("N", "greatest contact force"),
+    "peak_impact_force": Variable("N", "peak contact force"),
     "mean_impact_force": Variable("N", "mean contact force"),
     "stick_fraction": Variable("1", "share of time in which the bit sticks to the rock"),
     "reverse_fraction": Variable("1", "share of time in which the bit slides backwards"),

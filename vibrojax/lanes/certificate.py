@@ -48,12 +48,12 @@ def error_estimate(
 ) -> Float[np.ndarray, " lanes"]:
     """Return the estimated relative error of period, impact velocity and rate of penetration, whichever is largest.
 
-    It is the error of the limits that the lane approaches, the sum of four parts: the fraction `share` of the
-    difference between the limits of the two runs; `least`, in case this difference is small by chance; a multiple of
-    the remaining distance from the limit, `drift_estimate`; and the error of a bit that still moves on the rock. The
-    coarser run has settled, or its features have a `drift_estimate`, too. The error is NaN if a lane is not periodic.
-    It is infinite if the number of section crossings or impacts per period differs between the runs, or if a drift is
-    unbounded.
+    It is the error of the limits that the lane approaches. It has four parts, which add up: the fraction `share` of the
+    difference between the limits of the two runs; and `least`, in case this difference is small by chance. Further
+    parts are a multiple of the remaining distance from the limit, `drift_estimate`, and the error of a bit that still
+    moves on the rock. The coarser run has settled, or its features have a `drift_estimate`, too. The error is NaN if a
+    lane is not periodic. It is infinite if the number of section crossings or impacts per period differs between the
+    runs, or if a drift is unbounded.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         names = [name for name in ("period", "impact_velocity", "rate_of_penetration") if name in fine]

@@ -226,9 +226,9 @@ Parameters = Mapping[str, Any]
 def too_stiff_or_slow(scene: Scene[Any], run: RunSettings, p: Parameters) -> tuple[LanesBool, LanesBool]:
     """Return two masks of lanes; `p`: parameters by name, each (lanes,).
 
-    The first mask holds the lanes that are `unresolved` or whose flight takes too many steps. The second one holds
-    those whose drive is so slow that it cannot be distinguished from rest: it is below a multiple of the rounding error
-    of a typical speed, to which friction and main spring contribute.
+    The first mask holds the lanes that are `unresolved` or whose flight takes too many steps. The second mask holds the
+    lanes whose drive is so slow that it cannot be distinguished from rest. Its speed is then below a multiple of the
+    rounding error of a typical speed, to which friction and main spring contribute.
     """
     if not isinstance(scene, HasFriction) or not run.stepper.rests:
         none = np.zeros(_shape(p), bool)

@@ -84,8 +84,8 @@ def orbits(
     - `orbit_residual`: the largest scaled difference between the image of a state under the return map and the next
       state of the orbit. `grazing_margin`: how far the orbit is from a change in the order of its events; the dataset's
       attribute `orbits` states the definition.
-    - `orbit_cycles`: section crossings per period of the orbit. The value is less than `cycles` if the lane is still
-      settling on an orbit with a shorter period.
+    - `orbit_cycles`: section crossings per period of the orbit. It is less than the lane's `cycles` if the lane is
+      still settling on an orbit with a shorter period.
     - `nearby_cycles`: section crossings per period of a stable orbit near a lane that is irregular or undecided, or 0
       if no such orbit was found. `nearby_impacts`: impacts per period of this nearby orbit. `nearby_distance`: distance
       of the lane from the nearby orbit, in units of the amplitudes.
@@ -109,7 +109,7 @@ def orbits(
 
 
 def check_same_motions(stored: xr.Dataset, result: xr.Dataset) -> None:
-    """Raise `InputError` if the orbits of a sweep that was run again are not those of the stored lanes.
+    """Raise `InputError` if the orbits of a sweep that was run again differ from the stored lanes.
 
     So it is where sweeps with other fixed parameters were joined: the attributes are those of one of them. Of other
     edited datasets, whose coordinates may be new, the lanes are computed without a comparison.

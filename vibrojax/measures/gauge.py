@@ -76,7 +76,7 @@ class Gauge(ABC, Generic[K]):
 
     - `summed`: names of the sums; `needs`: capabilities that the scene must have.
     - `variables`: unit and long name of each dataset variable that is not in [vibrojax.io.variables][].
-    - `checked`: whether error estimates or labels compare what it measures with the check run.
+    - `checked`: whether error estimates or labels compare the measured quantities with the check run.
 
     **Example:**
 
@@ -119,7 +119,7 @@ class Gauge(ABC, Generic[K]):
         return carry
 
     def for_check(self) -> "Gauge[K] | None":
-        """Return the gauge of the check run, or None if it is not `checked`."""
+        """Return the gauge of the check run, or None if the gauge is not `checked`."""
         return self if self.checked else None
 
     @abstractmethod

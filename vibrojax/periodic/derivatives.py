@@ -73,8 +73,8 @@ class OrbitFeatures(NamedTuple):
 
     - `values`, `derivatives`: of the features `of`, and with respect to the parameters `by`; NaN where unknown.
     - `reason`: why value or derivative do not hold, a flag of `DERIVATIVE_REASONS`; 0 where they hold.
-    - `state_derivatives`, `determinant_derivatives`: those of the states at the section crossings, and of det(I - A),
-      where A is the derivative of the map over one period.
+    - `state_derivatives`, `determinant_derivatives`: derivatives of the states at the section crossings and of the
+      determinant of I - A, where A is the derivative of the map over one period.
     """
 
     values: Float[np.ndarray, "orbits of"]

@@ -2,8 +2,8 @@
 
 The unknowns are the scaled states and the scaled parameter, and the equations require that the rates vanish. The
 derivative of one step of Euler's method, 1 + A/rate, takes the place of the return map's derivative, where A is the
-derivative of the field: a multiplier 1 is an eigenvalue 0, and all that finds folds and branch points of orbits finds
-those of equilibria.
+derivative of the field. A multiplier 1 is then an eigenvalue 0, so the same code finds folds and branch points of
+orbits and of equilibria.
 """
 
 from collections.abc import Iterable, Mapping

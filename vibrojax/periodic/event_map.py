@@ -90,9 +90,9 @@ class Passing(Varied):
 class EventMargin(Margin):
     """Signed margin of the `chosen` condition of each lane, and the grazing margin of all other events.
 
-    Its rows are the signed value that is closest to zero, the margin of the other events, the second-closest value,
-    the last four rows of `Margin`, and for each guard its value at the end of the last step if it fell there until
-    another event. If the guard rises behind the event, this value is its minimum.
+    Its first rows are the signed value that is closest to zero, the margin of the other events, the second-closest
+    value, and the last four rows of `Margin`. A row for each guard follows: its value at the end of the last step, if
+    it fell there until another event. If the guard rises behind the event, this value is its minimum.
     """
 
     chosen: tuple[Array, ...] = ()

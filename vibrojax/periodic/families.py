@@ -296,8 +296,8 @@ class FamilyContinuation(Tracing):
 def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
     """Move grazes of one branch that were reached from the side with more events to their limits.
 
-    Other changes of events up to the limit are the same graze: short of it, its events are too near to be told apart.
-    Where a mass grazes against friction, the last event that is told apart may be a stick.
+    Other changes of events up to the limit are the same graze: shortly before it, its events are too close together to
+    be distinguished. If a mass grazes against friction, the last event that can be distinguished may be a stick.
     """
     for segment in segments:
         for mark in [mark for mark in segment.marks if mark.kind in ("grazing", "stick") and not mark.event]:

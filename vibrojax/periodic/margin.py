@@ -72,12 +72,12 @@ class Margin:
     def after(self, rows: Array, armed: Flags, lane: Lane, step: Step) -> Array:
         """Return the minimum of `rows` (7, lanes) and of the margins within `step`, which leads to `lane`.
 
-        The last row is infinite until the first step after an event, then 0. The three rows before it are for bounces
-        that may end in rest: the margin of the last bounce, the least margin of the bounces since the first of the
-        series, and the margin of the first bounce since the section. The latter has a negative sign if its series has
-        ended in rest; then it does not count if the series began before the section. It is minus infinity if the motion
-        is at rest at the section.
-        `armed`: mask of lanes whose next zero of the section's velocity is a crossing.
+        The last row is infinite until the first step after an event, then 0. The three rows before it describe bounces
+        that may end in rest. They are the margin of the last bounce, the least margin of the bounces since the first of
+        the series, and the margin of the first bounce since the section. The latter has a negative sign if its series
+        has ended in rest; then it does not count if the series began before the section. It is minus infinity if the
+        motion is at rest at the section. `armed`: mask of lanes whose next zero of the section's velocity is a
+        crossing.
         """
         if not self.derives:
             lane, step = lax.stop_gradient((lane, step))
@@ -133,7 +133,7 @@ class Margin:
 
     @staticmethod
     def ends(rows: Array) -> Array:
-        """Return the rows (5, lanes) of one return that `over_period` combines with those of the others."""
+        """Return the rows (5, lanes) of one return that `over_period` combines over all returns."""
         return jnp.stack([jnp.minimum(rows[0], rows[1]), *rows[2:6]])
 
     def _of_section(self, armed: Flags, step: Step, pace: Lanes, fresh: Flags) -> list[Array]:

@@ -110,13 +110,13 @@ def same_branch(
 ) -> Bool[np.ndarray, " lanes"]:
     """Return which steps from one orbit to another stay on their branch; NaN slopes are refused.
 
-    States must follow the trapezoidal rule, within `SAME_BRANCH`. Next to a point at which branches meet, they differ
-    by less than that. There d = det(I - A) tells them apart. It varies linearly on the branches that cross at d = 0,
-    with another slope on each, so the tangents at both ends must predict the other end's d to within its size. At a
-    pitchfork, a step from one branch to another is off by at least 3/2 of the greater |d|, at a transcritical point by
-    twice that; at a fold, |d| is a square root, whose slope is infinite. Where an event begins or vanishes d may jump,
-    and the branch goes on if its sign is the same (Feigin's condition; di Bernardo et al., *Piecewise-smooth Dynamical
-    Systems*, section 3.1).
+    States must follow the trapezoidal rule, within `SAME_BRANCH`. Next to a point at which branches meet, the branches
+    differ by less than that. There d = det(I - A) distinguishes them. It varies linearly on the branches that cross at
+    d = 0, with another slope on each, so the tangents at both ends must predict the other end's d to within its size.
+    For a step from one branch to another, the error of this prediction is at least 3/2 of the greater |d| at a
+    pitchfork, and twice that at a transcritical point. At a fold, |d| is a square root, whose slope is infinite. Where
+    an event begins or vanishes d may jump, and the branch goes on if its sign is the same (Feigin's condition; di
+    Bernardo et al., *Piecewise-smooth Dynamical Systems*, section 3.1).
 
     **Arguments:** `off`: scaled distances of the states from the trapezoidal rule; `d`, `trends`: d at both ends, and
     its slopes there times the step; `jumps`: mask of steps in which an impact passes the section, so that states jump.

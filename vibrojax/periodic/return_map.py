@@ -174,7 +174,8 @@ class ReturnLoop(NamedTuple):
     def begin_at(self, p: dict[str, Lanes], state: Array, like: Array | None = None) -> tuple[Any, _Flight]:
         """Return (the scene's constants, lanes at the section), for all parameters by name and the state.
 
-        `like`: the state from which scales follow, if their derivatives count, as those of the margin do.
+        `like`: the state from which scales follow. Give it if derivatives with respect to the scales count, as for the
+        margin.
         """
         scene = self.scene
         like = jax.lax.stop_gradient(state) if like is None else like

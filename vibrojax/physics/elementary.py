@@ -70,16 +70,16 @@ class Branches:
 
 
 BRANCHES: ContextVar[Branches | None] = ContextVar("branches", default=None)
-"""The object that kinks ask, None outside of the functions of a system."""
+"""The object that chooses the formula of each kink; None outside of the functions of a system."""
 
 # Dispatch by number type. Functions of a system reach these through the functions without kinks below.
-magnitude = _generic("absolute", "Return |x|; a Taylor series keeps the sign of the start of the step.")
-whole = _generic("floor", "Return the floor of x; that of a Taylor series is the one of its start.")
+magnitude = _generic("absolute", "Return |x|; for a Taylor series, with the sign of x at the start of the step.")
+whole = _generic("floor", "Return the floor of x; for a Taylor series, of its value at the start of the step.")
 
 
 @singledispatch
 def greater(x: Any, y: Any) -> Any:
-    """Return the greater of two values; a Taylor series keeps the one that is greater at the start of the step."""
+    """Return the greater of two values; for Taylor series, the one that is greater at the start of the step."""
     return jnp.maximum(x, y)
 
 

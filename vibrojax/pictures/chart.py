@@ -34,8 +34,8 @@ def chart(ds: xr.Dataset) -> Sheet:
     Maps of the impact energy, the peak force, the rate of penetration or the impact power, and the blows per minute
     show the cells in which all starts lead to one stable single impact. A line surrounds the robust cells, of which the
     eight cells around them are single impacts too. At the edge of the map, that is not known. The impact may differ
-    from cell to cell, so the star is the robust cell whose worst value among these nine cells is best: of the rate of
-    penetration, else of the power, else of the energy. The chart ends one cell beyond the single impacts.
+    from cell to cell, so the star is the robust cell whose worst value among these nine cells is best. The value is the
+    rate of penetration, else the power, else the energy. The chart ends one cell beyond the single impacts.
 
     **Raises:** `InputError` if the dataset has no single impacts over two axes.
     """

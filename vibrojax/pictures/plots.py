@@ -238,7 +238,7 @@ class Sheet:
     """A picture: its plots with ratios of their `widths` and `heights` (equal ones by default), legend, title and note.
 
     - `size`: width and height [inch], without the further lines of title and note.
-    - `keys`: groups of legend entries, before those of the layers with labels.
+    - `keys`: groups of legend entries, which precede the entries of layers with labels.
     - `beside`: whether the legend is at the right of the plots, not below.
     """
 

@@ -121,12 +121,12 @@ class Swing(NamedTuple):
 class Section:
     """The Poincaré section, which is defined by zeros of a state.
 
-    The field `at` names the state whose zeros define the section; the default is the `velocity` of the first swing. The
-    scene needs a marker for this state. At the section, the state crosses zero upwards if `rising` is True, else
-    downwards. Between two crossings of the section, the state must pass the level `rearm(constants)` in the opposite
-    direction, so that fluctuations about zero do not count. Periodicity is checked on the positions of all `swings`,
-    and on the velocities of all swings but the first. For this check, a position is divided by its amplitude a, and a
-    velocity by 2 pi a/T, where T is the time between crossings.
+    The field `swings` lists the oscillating states. The field `at` names the state whose zeros define the section; the
+    default is the `velocity` of the first swing. The scene needs a marker for this state. At the section, the state
+    crosses zero upwards if `rising` is True, else downwards. Between two crossings of the section, the state must pass
+    the level `rearm(constants)` in the opposite direction, so that fluctuations about zero do not count. Periodicity is
+    checked on the positions of all `swings`, and on the velocities of all swings but the first. For this check, a
+    position is divided by its amplitude a, and a velocity by 2 pi a/T, where T is the time between crossings.
 
     To make a periodically forced system autonomous, add the phase of the forcing as a state. Add an event that reduces
     the phase by one full period, at a phase other than zero.
@@ -165,7 +165,9 @@ class Section:
         return tuple(name for name in names if name is not None and name != self.velocity)
 
     def scales(self, amplitudes: Sequence[Any], period: Any) -> list[Any]:
-        """Return the scales of the compared states: the amplitudes, for velocities the amplitudes times 2 pi/`period`.
+        """Return the scales of the compared states.
+
+        The scale of a position is its amplitude, and the scale of a velocity is the amplitude times 2 pi/`period`.
 
         `amplitudes`: amplitudes of the swings, in order.
         """

@@ -55,7 +55,8 @@ class Scene(ABC, Generic[C]):
     - `clocks`: states and guards that depend on time alone, so that no orbit can graze them.
     - `usual_times`: default settling time and default duration of the observation [s].
     - `ends_at_once`: True if a mode may begin with a negative guard, and then ends immediately.
-    - `fault_reasons`: flags of the dataset variable `reason` that state why a motion cannot continue.
+    - `fault_reasons`: flags of the dataset variable `reason` that state why a motion cannot continue; the first is
+      "none".
     - `drifting`: states that grow without bound and do not affect other states; the return map leaves these states out.
     - `redundant`: states that the method `on_surfaces` computes from the other states.
 
@@ -144,7 +145,7 @@ class Scene(ABC, Generic[C]):
         return None
 
     def start_faults(self, p: Mapping[str, Any], state: Values) -> list[tuple[str, str, Any]]:
-        """Return what can be wrong with an initial `state`: reasons of lanes, messages of the first, masks (lanes,)."""
+        """Return the faults of an initial `state`: reason, message about the first lane, and mask (lanes,) of each."""
         return []
 
     @property
@@ -162,7 +163,7 @@ class Scene(ABC, Generic[C]):
         return []
 
     def fault(self, mode: Values) -> Any:
-        """Return why the motion cannot go on in a mode, indices into `fault_reasons`; None if it always can."""
+        """Return an index into `fault_reasons` for each lane, 0 if the motion can continue; None if it always can."""
         return None
 
     def scaled(self, c: C, state: Values) -> C:
@@ -176,19 +177,22 @@ class Scene(ABC, Generic[C]):
         """Return the fraction of a step over which the Taylor series are valid.
 
         None means that the last coefficients of the series show where the series are valid. `polynomials` has the
-        states' coefficients in time divided by the step's length, `functions` those of the guards and then of markers.
+        coefficients of the states, in time divided by the step's length, and `functions` has the coefficients of the
+        guards, followed by those of the markers.
         """
         return None
 
     def rate_along(self, c: C, mode: Values, state: Values) -> Any:
-        """Return the fastest rate of change at a state [1/s], which determines the step from there; here, `rate`."""
+        """Return the fastest rate of change at a state [1/s], which limits the next step; by default, `rate`."""
         return self.rate(c, mode)
 
     def defect_scales(self, c: C, mode: Values, state: Values, polynomials: tuple[list[Array], ...]) -> Any:
-        """Return, for the first states, a scale of their defect at the end of a step, in units of the tolerance.
+        """Return the scales of the defects of the first states.
 
-        A step is repeated with half its length if the slope of a series at its end differs by more from the field
-        there. None means that the last coefficients of the series show where the series are valid.
+        The defect of a state is the difference between the slope of its Taylor series at the end of a step and the
+        field there, times the length of the step. If a defect exceeds its scale times the tolerance, the step is
+        repeated with half its length. None means that the last coefficients of the series show where the series are
+        valid.
         """
         return None
 
@@ -198,22 +202,22 @@ class Scene(ABC, Generic[C]):
         return ROUNDINGS * jnp.finfo(scale.dtype).eps * scale
 
     def smoothed_field(self, c: C, mode: Values, state: Values, width: Any) -> Values:
-        """Return the time derivatives with the friction switch at zero sliding speed spread over `width` [m/s]."""
+        """Return the time derivatives, with the jump of friction at zero sliding speed spread over `width` [m/s]."""
         return self.field(c, mode, state)
 
     def smoothed_mode(self, c: C, mode: Values, state: Values, width: Any) -> Values:
-        """Return the mode that measures see in a smoothed motion: stick at sliding speeds below `width` [m/s]."""
+        """Return the mode that gauges receive for a smoothed motion: stick at sliding speeds below `width` [m/s]."""
         return mode
 
     def driving_part(self) -> "Scene[Any]":
-        """Return the scene without the parts that do not act on the rest; this scene has the same periodic orbits."""
+        """Return the scene without the parts that do not act on other parts; its periodic orbits are the same."""
         return self
 
     # The members below are derived from the declarations; steppers and measures use them.
 
     @property
     def presets(self) -> dict[str, dict[str, dict[str, float]]]:
-        """Parameters set by each value of the choices that are not options, such as the rocks."""
+        """Parameters that each value of a choice sets, for choices that are not fields of the scene, such as `rock`."""
         own = self.parameters()
         return {
             choice: {name: {key: x for key, x in vars(value).items() if key in own} for name, value in values.items()}
@@ -223,7 +227,7 @@ class Scene(ABC, Generic[C]):
 
     @property
     def regime_names(self) -> Mapping[str, str]:
-        """Names of regimes that differ from the usual ones; without impacts to count, impact-free is periodic."""
+        """Names that replace the usual names of regimes; in scenes without impacts, impact-free becomes periodic."""
         return {"impact-free": "periodic"}
 
     @property
@@ -280,12 +284,12 @@ class Scene(ABC, Generic[C]):
         return {name: names.index(name if name in names else "slip") for name in switches}
 
     def has_no_field(self, c: C, mode: Values, state: Values) -> Any:
-        """Return a mask of states that are no isolated equilibria whatever the rates: here, where the bit sticks."""
+        """Return a mask of states that cannot be isolated equilibria; by default, those in which the bit sticks."""
         return functools.reduce(operator.or_, [mode[place] == 0 for place in self.switch_places.values()], False)
 
     @property
     def named_events(self) -> tuple[str, ...]:
-        """Names of the events that special points bear, because they are neither impacts nor sticks."""
+        """Names of the events after which a special point is named if it is due to neither an impact nor a stick."""
         return ()
 
     def marker_of(self, velocity: str) -> str:
@@ -293,7 +297,7 @@ class Scene(ABC, Generic[C]):
         return next(marker.name for marker in self.markers if marker.velocity == velocity)
 
     def guard_values(self, c: C, mode: Values, state: Values, smoothed: bool = False) -> Values:
-        """Return the values of the guards' functions; if `smoothed`, those with `is_switch` are 1, so never reached."""
+        """Return the values of the guards; if `smoothed`, 1 for guards with `is_switch`, so that no step ends there."""
         return tuple(
             0.0 * state[0] + 1.0 if smoothed and guard.is_switch else guard.function(c, mode, state)
             for guard in self.guards()
@@ -306,7 +310,7 @@ class Scene(ABC, Generic[C]):
     def error_terms(
         self, c: C, mode: Values, state: Values, polynomials: tuple[list[Array], ...]
     ) -> tuple[list[list[Array]], Any]:
-        """Return the Taylor coefficients that decide on the length of a step, and the scale of their error.
+        """Return the Taylor coefficients that determine the length of a step, and the scale of their error.
 
         By default these are the coefficients of the velocities and `speed_scale`. `state`: state at the start of the
         step.
@@ -314,11 +318,11 @@ class Scene(ABC, Generic[C]):
         return [polynomials[index] for index in self.velocities], self.speed_scale(c)
 
     def small_changes(self, c: C, state: Values) -> Values:
-        """Return changes of states whose series must converge if derivatives are computed; none if others show it."""
+        """Return changes of states whose Taylor series must converge if derivatives are computed; by default, none."""
         return ()
 
     def changed_field(self, c: C, mode: Values, state: Values, changes: Values) -> Values:
-        """Return the rates of these changes; `state`, `changes`: Taylor series."""
+        """Return the rates of the `small_changes`; `state`, `changes`: Taylor series."""
         raise NotImplementedError
 
     def resolutions(self, c: C, mode: Values, state: Values, marked: bool = True) -> Values:
@@ -349,13 +353,13 @@ class Scene(ABC, Generic[C]):
         return (*slopes, *(speed for _ in self.markers if marked))
 
     def onto_section(self, c: C, state: Values) -> Values:
-        """Return a state of the return map moved onto the section; here, as it is: its velocity is a state of zero."""
+        """Return a state of the return map, moved onto the section; by default, it already lies on the section."""
         return state
 
     def joined(
         self, mode: Values, hits: Mapping[str, Any], falling: Mapping[str, Any]
     ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-        """Return `hits` and `falling` with those of the markers whose zeros are those of a guard; here, as they are."""
+        """Return `hits` and `falling`, completed for markers with the same zeros as a guard; by default, unchanged."""
         return hits, falling
 
     @property
@@ -364,18 +368,19 @@ class Scene(ABC, Generic[C]):
         return False
 
     def events_of(self, mode: Values, after: Values, hits: Mapping[str, Any]) -> dict[str, Any]:
-        """Return masks of events by kind, for trajectories, in addition to those of friction, impacts and the section.
+        """Return masks of further events by kind, for trajectories: not friction, impacts and section crossings.
 
-        `mode` is the mode before the event and `after` the mode after it, `hits` the masks of guards and markers.
+        `mode` is the mode before the event, `after` is the mode after it, and `hits` has the masks of guards and
+        markers.
         """
         return {}
 
     def at_rest(self, mode: Values) -> Mapping[str, Any]:
-        """Return, by name of the guard, masks of lanes at rest on a rigid stop; empty without such stops."""
+        """Return masks of the lanes at rest on a rigid stop, by name of the stop's guard; empty without rigid stops."""
         return {}
 
     def after_event(self, c: C, mode: Values, state: Values, hits: Mapping[str, Any]) -> tuple[Values, Values]:
-        """Return mode and state after an event: where a marker is hit its velocity is zero, then `reset` is applied."""
+        """Return mode and state after an event: the velocity of a marker that is hit becomes 0, then `reset` acts."""
         turned = list(state)
         for marker in self.markers:
             place = self.place(marker.velocity)

@@ -176,7 +176,7 @@ class Stepper(ABC):
         """Return the settings of the coarser check run, from which the error is estimated."""
 
     def error_floor(self, accuracy: Accuracy) -> float:
-        """Return an error that lanes may have although main run and check run agree."""
+        """Return the error that main run and check run may have in common, which their difference does not show."""
         return 0.0
 
 

@@ -47,7 +47,7 @@ WORDS = {
     "fold": "the family turns back, and a stable and an unstable orbit meet",
     "period-doubling": "the orbit loses its stability to one that repeats after twice as many returns",
     "torus": "the orbit loses its stability to a motion with a second frequency",
-    "branch-point": "another family of orbits crosses, such as the symmetric one of a pair that loses its symmetry",
+    "branch-point": "another family of orbits crosses this one, as where a symmetric orbit loses its symmetry",
     "grazing": "an impact appears or vanishes",
     "stick": "a stick phase of the bit, or a backward slip, appears or vanishes",
     "section point": "the bit barely becomes faster than the drive; beyond it, the number of returns changes",

@@ -209,8 +209,8 @@ def compared(features: Features, reference: Features) -> tuple[Int[np.ndarray, "
     """Return the status of each lane, an index into `STATUSES`, and its error.
 
     The error is the larger one of period and impact velocity, or that of the rate of penetration in scenes without
-    them. A motion is another one if impacts per return differ by more than 5 %, or the error is a half or more. It need
-    not be periodic to 1e-3: coarse steps cause more jitter, but the means belong to the same motion.
+    them. The motions differ if impacts per return differ by more than 5 %, or the error is a half or more. A motion
+    need not be periodic to 1e-3: coarse steps cause more jitter, but the means belong to the same motion.
     """
     names = [str(name) for name in ("period", "impact_velocity") if name in reference] or ["rate_of_penetration"]
     pairs = [(np.abs(features[name].astype(float) - reference[name]), np.abs(reference[name])) for name in names]

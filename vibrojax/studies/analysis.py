@@ -46,8 +46,8 @@ class PictureRule(NamedTuple):
     """A rule that assigns a picture to datasets with certain contents.
 
     - `shows`: short description of the picture.
-    - `fits`: function that returns whether the rule applies to a dataset. The argument of `fits` describes the dataset
-      by the attributes `variables`, `dimensions`, `axes` and others.
+    - `fits`: function that returns whether the rule applies to a dataset. The argument of `fits` describes the dataset;
+      its attributes `variables` and `dimensions` are sets of names, and `axes` lists the axes to draw along.
     - `draw`: function that takes the dataset and returns a matplotlib figure, or plots of
       [vibrojax.pictures.plots][], which the explorer page draws itself.
 
@@ -143,7 +143,7 @@ class Analysis(Settings):
         return draw(self.plots(drawable(ds), layers))
 
     def plots(self, ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> "Picture | Figure":
-        """Return the plots that make the picture of a dataset, or a figure; it raises the errors of `picture`."""
+        """Return the plots that form the picture of a dataset, or a figure; raise an error where `picture` does."""
         from vibrojax.pictures.contents import Contents
         from vibrojax.pictures.overlays import refuse_overlays
 
@@ -166,8 +166,8 @@ class Analysis(Settings):
     def page_figures(self, ds: xr.Dataset) -> Sequence["Picture | Figure"]:
         """Return the plots and figures that the explorer page shows of a dataset; by default those of its picture.
 
-        The page draws plots itself, with zoom, files and a cursor, and shows a figure as an image. A plot over an axis
-        of the dataset selects its lanes.
+        Plots on the page can be zoomed, saved as files and read with a cursor; a figure is shown as an image. A plot
+        over an axis of the dataset selects its lanes.
         """
         return [self.plots(ds)]
 

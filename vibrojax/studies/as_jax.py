@@ -296,10 +296,10 @@ def as_jax(
 
     The first call of the returned function finds the orbit on which the motion settles at the *first point*: `at`, or
     the point of the call. Every further call continues the first orbit along the straight line from the first point to
-    the point of the call, so results do not depend on other calls. The gradients equal the derivatives by
-    [vibrojax.sensitivity][]. `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the features
-    without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`. Second
-    derivatives are not available.
+    the point of the call, so results do not depend on other calls. The gradients equal the derivatives that
+    [vibrojax.sensitivity][] returns. `jax.grad`, `jax.jit` and `jax.vmap` work; `jax.jacfwd` and `jax.jacrev` need the
+    features without the boolean `valid`: `jax.jacfwd(lambda x: [f(x)[name] for name in ("period", "margin")])(x)`.
+    Second derivatives are not available.
 
     The returned function is valid at points that `simulate` accepts and at which the orbit exists, is stable, and keeps
     its numbers of section crossings and impacts. At a point that is not valid, the function returns the values of the

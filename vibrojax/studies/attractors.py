@@ -330,7 +330,7 @@ def share_map(ds: xr.Dataset) -> Sheet:
 
 @dataclass(frozen=True)
 class Attractors(SweepAnalysis):
-    """Find the attractors to which a sweep's starts lead, and the share of the starts for each."""
+    """Find the attractors to which a sweep's starts lead, and the share of the starts that lead to each."""
 
     kind = "attractors"
     counted = "attractor"

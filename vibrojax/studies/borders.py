@@ -75,10 +75,10 @@ def borders(
     - Variables along `vertex`, in order on each curve: both parameters, and `curve`, a number for each curve.
     - Variables along `curve`: `kind`, with the coordinates `start` (the initial condition, or "any" for all orbits) and
       the values of the sweep's other axes. Beyond a border of the kind *basin*, the orbit exists, but the initial
-      condition does not lead to it; beyond a border of the kind *not-settled*, the motion had not settled by the end of
-      its simulation. The flag `continued` is 1 if the curve was continued from the point `seed_NAME`, and 0 if not. The
-      text `curve_note` states why the curve ends, or why it was not continued. The attribute `begun_from` describes the
-      grid of the sweep.
+      condition does not lead to it. Beyond a border of the kind *not-settled*, the motion had not settled by the end of
+      its simulation. The flag `continued` is 1 if the curve was computed by continuation, from the point with the
+      parameters `seed_NAME`, and 0 if it joins points between grid points. The text `curve_note` states why the curve
+      ends, or why it was not continued. The attribute `begun_from` describes the grid of the sweep.
     - Variables along `crossing`, if the argument `at` is given: `crossing_curve` (number of the curve), and
       `crossing_NAME` (value of each parameter).
     - Variables along `region`: `region_area`, the fraction of the plane with a stable single impact, with the
@@ -322,7 +322,7 @@ class Borders(SweepAnalysis):
         default=None,
         metadata={
             "metavar": "X,Y",
-            "help": "the two axes of the plane (gamma and beta, else the two with most values)",
+            "help": "the two axes of the plane (default: gamma and beta, or else the two axes with the most values)",
         },
     )
     at: Any = field(

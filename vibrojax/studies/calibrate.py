@@ -155,7 +155,7 @@ def _combination(ds: xr.Dataset, k: int) -> str:
 
 
 class Calibrations(FileAnalysis[Calibration]):
-    """Estimate parameters of a drill from observations of its motion, and say which the data determine."""
+    """Estimate parameters of a drill from observations of its motion, and state which of them the data determine."""
 
     kind = "calibration"
     variables = CALIBRATION_VARIABLES
@@ -352,7 +352,8 @@ def calibrate(source: str | PathLike[str] | Mapping[str, object], progress: bool
     Variables along `observation` are `observed`, `predicted`, `residual`, `used` (1 or 0), and the `time` of samples of
     a recording.
 
-    **Raises:** `InputError` if the input is invalid, if too few observations have an orbit, or if no search converges.
+    **Raises:** `InputError` if the input is invalid, if too few observations have a stable orbit, or if no search
+    converges.
 
     **Example:**
 

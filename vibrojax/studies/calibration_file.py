@@ -310,8 +310,8 @@ def _read_table(
 ) -> tuple[dict[str, np.ndarray], np.ndarray, Place]:
     """Return the columns of a file, dataset or table, the number of each row (in a text file, its line), and its place.
 
-    `units`: SI units by quantity, to which the columns are converted. `chosen`: columns by quantity whose name is
-    another; then, further columns may hold anything.
+    `units`: SI units by quantity, to which the columns are converted. `chosen`: columns, by quantity, whose names
+    differ from the quantities; further columns may then hold anything.
     """
 
     def quantity_of(header: str) -> tuple[str, str | None]:
@@ -344,7 +344,7 @@ def _read_table(
     if isinstance(data, xr.Dataset):
         data = {name: x for name, x in data.variables.items() if x.ndim == 1}
     if not isinstance(data, (Mapping, pd.DataFrame)):
-        raise place.error(f"{shown(data)} is no table; give one, a dataset, or the path of a CSV file")
+        raise place.error(f"{shown(data)} is not a table; give a table, a dataset, or the path of a CSV file")
     columns: dict[str, np.ndarray] = {}
     for key in data:
         name, unit = quantity_of(str(key))

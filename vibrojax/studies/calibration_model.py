@@ -305,7 +305,7 @@ def starts(problem: Problem) -> list[tuple[Theta, int]]:
 def _check_unit(name: str, unit: str | None, observed: np.ndarray, predicted: np.ndarray) -> None:
     """Raise `InputError` if another unit brings the observations of a variable into the range of the motions."""
     value, sizes = float(np.nanmedian(np.abs(observed))), np.abs(predicted[np.isfinite(predicted)])
-    if unit is None or not sizes.size or sizes.min() == 0:  # a measure of one's own has any unit
+    if unit is None or not sizes.size or sizes.min() == 0:  # a user's own measure may have any unit
         return
     if sizes.min() / OTHER_UNIT <= value <= sizes.max() * OTHER_UNIT:
         return

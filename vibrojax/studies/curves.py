@@ -267,7 +267,7 @@ def problem_through(
     """Return the equations of curves through orbits, and the unknowns at these orbits.
 
     **Arguments:** `bounds`: lower and upper bounds of the first and of the second parameter, by name; `parameters`: all
-    parameters of each orbit, by name; `kinds`: kind of each curve; `orbits`: for each curve the number of section
+    parameters of each orbit, by name. `kinds`: kind of each curve; `orbits`: for each curve the number of section
     crossings and the state at the section.
     """
     scene, count = scene.driving_part(), len(orbits)

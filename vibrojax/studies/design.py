@@ -344,9 +344,9 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     - For each candidate: the varied parameters. `objective` is the maximised variable at the nominal point, from the
       worst start. `objective_worst`, by which robust designs are ranked, is the worst objective over the tolerance box.
-      For each variable in `subject`, NAME is the nominal value, and `NAME_worst` the worst. `feasible` is 1 if all
-      samples meet all requirements.
-    - `gradient` along `parameter`: derivatives of the objective.
+      Each variable NAME in `subject` has its nominal value in `NAME`, and its worst value over the samples in
+      `NAME_worst`. `feasible` is 1 if all samples meet all requirements.
+    - `gradient` along `parameter`: derivative of the objective with respect to each parameter.
     - Variables along `front`, if the design has the entry `front`: `front_limit` (the limit that is varied),
       `front_objective` (the best value within this limit) and the varied parameters.
     - Variables along `map`: the points and values of the coarse map, where the search begins.

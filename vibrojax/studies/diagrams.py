@@ -63,7 +63,7 @@ def campbell(ds: xr.Dataset) -> Sheet:
     across = Axis("rotation [1/min]", "rpm", (low, high), group="across") if turns else x.axis(ds)
 
     def nested(k: int) -> Look:
-        """Return the size of the marks of a start, which lie within those of the starts before it."""
+        """Return the size of the marks of a start; the marks of each further start are smaller."""
         return {"size": max(5.5 - 2.2 * k, 2.0)} if by == START else {}
 
     def draw(lines: list[Series]) -> Plot:

@@ -96,8 +96,8 @@ def follow(
     At a *grazing* point, an impact or another event appears or vanishes; at a *stick* point, a stick phase does. If the
     event at a grazing point is not an impact, `special_note` names the affected discrete states. Multipliers at a
     special point are computed on the side from which the point was reached, unless orbits exist only on the other side.
-    Where multipliers grow without limit towards a graze, the parameter and the state are extrapolated to the graze, but
-    multipliers and `impacts` are those of the last orbit before the graze.
+    Where multipliers grow without limit towards a grazing point, the parameter and the state are extrapolated to this
+    point, but multipliers and `impacts` belong to the last orbit before it.
 
     The mirror image of an orbit counts as another orbit.
 

@@ -237,7 +237,7 @@ class Families(MachineAnalysis[FamilySpec]):
     along: object = setting(None, f"{_SYNTAX}: the parameter, its value at the first orbit, and its bounds", read=given)
     at: object = setting(None, "", read=given)
     from_hopf: object = setting(
-        None, "from-hopf=FILE.nc: a family of equilibria; orbits begin at its hopf points", read=given
+        None, "from-hopf=FILE.nc: a family of equilibria; orbits begin at its Hopf points", read=given
     )
     span: object = setting(None, "", read=given)
     cycles: object = setting(

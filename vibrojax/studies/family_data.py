@@ -1,4 +1,4 @@
-"""What `follow` is given: scene, parameter, bounds, and where families begin; and the dataset of families."""
+"""Input of `follow` (scene, parameter, bounds, and where families begin), and the dataset of families."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence

@@ -182,10 +182,10 @@ def smallest_push(
 
     **Returns:** a dataset.
 
-    - Variables along `sign` (-1, 1), for each state variable, here v2: `push_v2` is the smallest push after which the
-      motion leaves the cycle, NaN if the motion returns after all pushes up to `bound_v2`; `bracket_v2` is the distance
-      of this push from the next smaller push, after which the motion returns; `regime_v2` is the regime in which the
-      motion ends after the push.
+    - Variables of each state variable, such as v2, along `sign`, the direction of the push (-1 or 1). `push_v2` is the
+      smallest push after which the motion leaves the cycle; it is NaN if the motion returns after all pushes up to
+      `bound_v2`. `bracket_v2` is the distance of this push from the next smaller push, after which the motion returns.
+      `regime_v2` is the regime in which the motion ends after the push.
     - Variables of the working cycle: `regime`, `period` and the state at the section (`orbit_x1` and so on).
 
     **Raises:** `InputError` for an invalid name or value, or if the motion does not settle on a stable cycle.

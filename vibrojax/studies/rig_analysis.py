@@ -91,10 +91,9 @@ def rig(
         log = vj.rig("log.csv", columns={"bit_diameter": "8.5 in"})
         vj.picture(log)
 
-    With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate of penetration R [m/s] and the
-    area A of a bit of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). The
-    percussive specific energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per
-    second.
+    The mechanical specific energy is W/A + omega T/(A R) (Teale 1965). W is the weight on bit [N], omega the rotary
+    speed [rad/s], T the torque [N m], R the rate of penetration [m/s], and A the area of the bit [m²]. The percussive
+    specific energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per second.
 
     The founder point is the weight on the bit above which the rate of penetration does not rise; see
     [vibrojax.fit_rop][].

@@ -57,8 +57,9 @@ AIC_LIMIT = 2.0
 BLOCK_LIMIT = 5.4
 """Evidence by blocks of rows above which a form is rejected.
 
-Of two forms with as many coefficients, the right one has evidence above 5.4 against it with a probability below 1 %,
-however much they differ: twice the logarithm of a likelihood ratio with the mean d has the variance 4 d."""
+Of two forms with equal numbers of coefficients, the right one has evidence above 5.4 against it with a probability
+below 1 %, however much they differ. The reason is that twice the logarithm of a likelihood ratio with the mean d has
+the variance 4 d."""
 
 SPECIAL_LIMIT = 8.8
 """Evidence by blocks of rows above which a special case is rejected, such as `literal` beside `onset`.

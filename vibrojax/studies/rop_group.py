@@ -49,7 +49,7 @@ _LEAST_BESIDE = 8  # rows below the founder weight, and above it
 _LEAST_SHARE = 0.04  # of rows on either side
 _FOUNDER = 9.0  # evidence against all laws without a founder: exceeded by chance in 1 % of logs
 _MOST_MARGIN = 0.08  # of the founder weight, below it
-_LARGEST_LOG_RATE = 5.0  # of a power law, in units of the greatest rate: a worse guess is no law
+_LARGEST_LOG_RATE = 5.0  # of a power law, in units of the greatest rate: a worse guess is useless
 _LEAST_FALL = 1e-6  # greatest rates per greatest weight: rounding errors are smaller
 _ERRORS_OF_FALL = 2.0  # standard errors above which the rate falls above the founder weight
 
@@ -71,7 +71,7 @@ _COLUMNS += ["evidence_against", "degrees_of_freedom", "used", "standing", "reas
 class Founder(NamedTuple):
     """Weight above which the rate does not rise, and the fall of the rate per weight above it; NaN without one.
 
-    The units are those of the data; `correlation` is that of the noise of neighbouring rows.
+    The units are the units of the data; `correlation` is the correlation of the noise of neighbouring rows.
     """
 
     weight: float = np.nan
@@ -166,7 +166,7 @@ def clean(
 def _wrong_rates(residual: Lanes, weight: Lanes) -> LaneFlags:
     """Return the rows whose rate is far from the law, and from the rates at nearly the same weight.
 
-    The second condition makes a law that describes the data badly harmless: all rows of a weight then miss it alike.
+    The second condition makes a law that describes the data badly harmless: it is then far from all rows of a weight.
     """
     order, local = np.argsort(weight, kind="stable"), np.empty(residual.size)
     local[order] = median_filter(residual[order], _WINDOW, mode="mirror")  # "nearest" repeats the row at an end

@@ -130,8 +130,8 @@ def fit_rop(
 
     - `data`: a dataset with rate_of_penetration [m/s], relief [1] and optionally regime; the path of such a dataset
       (.nc); the path of a rig log (see `read_log`); or a DataFrame with the columns of a rig log.
-    - `along`: axis along which the lanes of a group vary, by default the first of frequency, v and point that the data
-      have, or their only axis. Lanes with equal values on all other axes form a group.
+    - `along`: axis along which the lanes of a group vary, by default frequency, else v, else point, else the only axis
+      of the data. Lanes with equal values on all other axes form a group.
     - `by`: columns of a table (a CSV, or a sweep of points); rows with equal values in these columns form a group. If
       `along` names a column, `by` defaults to all other columns except mean_force.
     - `robust`: the loss function, "squares" (default for a sweep) or "soft-l1", scaled by the median absolute deviation
@@ -143,10 +143,10 @@ def fit_rop(
       force at the onset of penetration.
     - `where`, `nulls`: as in `read_log`, for a rig log only.
 
-    **Returns:** a dataset with the dimensions `form`, `lane` and those of the groups. The main variables of a fit are
-    the coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of the
-    comparison of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The attribute
-    `verdict` is the form that the data of all groups support, or "none".
+    **Returns:** a dataset with the dimensions `form` and `lane`, and the dimensions of the groups. The main variables
+    of a fit are the coefficients C [m/s], eta0 [1] and exponent [1] with standard errors, and `standing`, the result of
+    the comparison of the forms. A coefficient is NaN if the form lacks it or the lanes do not identify it. The
+    attribute `verdict` is the form that the data of all groups support, or "none".
 
     **Raises:** `InputError` if the data cannot be read or hold nothing to fit.
 

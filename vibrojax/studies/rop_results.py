@@ -159,11 +159,13 @@ def _listed(title: str, lines: Mapping[str, str]) -> list[str]:
 def recommended(fit: xr.Dataset, group: pd.DataFrame) -> dict[str, Any] | None:
     """Return the recommended C of a group, or None if there is none.
 
-    For a log whose forms were compared over blocks of rows, it is that of the form that the data support. Otherwise it
-    is that of the likeliest reading of the log law, if that is not rejected and C is positive.
+    For a log whose forms were compared over blocks of rows, the recommended C belongs to the form that the data
+    support. Otherwise it belongs to the likeliest reading of the log law, if this reading is not rejected and C is
+    positive.
 
     The dictionary holds `form`, `C` [m/s] and the ends `low` and `high` of its 95 % interval [m/s], by Student's
-    distribution, and, with rig data, the `unit` of the data's rate and these three in it (`in_unit`).
+    distribution. With rig data, it also holds the `unit` of the rate in the data, and the three values in this unit
+    (`in_unit`).
     """
     standing, form = group["standing"], str(group["standing"].eq("chosen").idxmax())
     if group["cv_error"].isna().all() or (standing == "undecided").any():

@@ -154,10 +154,9 @@ def sensitivity(
 
     **Returns:** a dataset over the dimensions of the sweep, or without these dimensions for a single point.
 
-    - The dataset contains all variables of the orbits that vary smoothly, such as `period`, `impact_velocity`,
-      `impact_energy`, `impact_power`, `peak_impact_force`, `impact_phase`, `grazing_margin`, `multiplier_abs` (with the
-      dimension `multiplier`), `log_multiplier` (the natural logarithm of the largest modulus), and, in scenes with
-      rock, `rate_of_penetration`.
+    - The dataset contains all variables of the orbits that vary smoothly: measures such as `period`, `impact_energy`
+      and `rate_of_penetration`, `grazing_margin`, `multiplier_abs` (with the dimension `multiplier`), and
+      `log_multiplier` (the natural logarithm of the largest modulus).
     - `d_VARIABLE` along `parameter`: derivative of each variable, in the unit of the variable per unit of the parameter
       (`parameter_unit`). A derivative is NaN where the variable is undefined, as is the impact velocity of a motion
       without impacts. For a single point, `elasticity_VARIABLE` is the relative change of the variable per relative

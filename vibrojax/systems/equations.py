@@ -87,7 +87,7 @@ class SystemEquations(Scene[SystemConstants]):
         return (0.0 if self.autonomous else values[TIME]), {name: values[name] for name in self._flow.names}
 
     def _with_known(self, state: Values, y: Mapping[str, Any], **hidden: Any) -> Values:
-        """Return all states, with those of the user's functions from `y` and `hidden` ones by name."""
+        """Return all states: the user's states from `y`, and the `hidden` states by name."""
         if self._level:
             y = {**y, self._section_state: y[self._section_state] - self._level}
         values = dict(zip(self.state_names, state, strict=True)) | {name: y[name] for name in self._flow.names} | hidden

@@ -62,11 +62,11 @@ class Impact:
 
     @property
     def acts_on(self) -> str | None:
-        """Name of the state that the event changes; None if a reset does."""
+        """Name of the state that the event changes; None if the event has a `reset`."""
         return self.velocity
 
     def happens(self, mode: Any) -> Any:
-        """Return a mask of the lanes in which a zero of the gap is the event; `mode`: mode before."""
+        """Return a mask of the lanes in which a zero of the gap is the event; `mode`: the mode before."""
         return mode != 1 if self.direction is None else mode * self.direction < 0
 
     def bounce(self, p: Mapping[str, Any]) -> Any:
@@ -117,8 +117,8 @@ class Friction:
       `vj.FRICTION_LAWS`. The parameters of a law become parameters of the system.
     - `acts_on`: name of the velocity that the friction force changes; `mass`: mass of the body [kg], a number or a
       function of `p`.
-    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`; by default, and at
-      least, the coefficient of the law at rest.
+    - `static`: coefficient of friction of a body that sticks, a number or a function of `p`. The default is the
+      coefficient of the law at rest, and `static` must not be less.
     - `lift_off`: True if a negative normal force counts as zero. If `lift_off` is False, a lane fails when the normal
       force becomes negative, because friction would then drive the body.
 

@@ -285,8 +285,8 @@ class Flow:
     ) -> tuple[Rates, dict[int, Any]]:
         """Return the field with the frictions of sliding bodies, and the decelerations that bodies that stick can bear.
 
-        The sides of switches are `fixed`, or those of the mode: on a surface, the mean of both sides counts. `corners`:
-        field and decelerations at all combinations of sides.
+        The sides of switches are `fixed`, or follow from the mode: on a surface, the mean of both sides counts.
+        `corners`: field and decelerations at all combinations of sides.
         """
         switches, own = self.of(Switch), self._signs(mode, Switch)
         total: dict[Any, Any] = {}

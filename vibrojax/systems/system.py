@@ -67,7 +67,7 @@ class System(SystemScales):
 
     By default all states begin at zero. In trajectories, the variables have the names of the states.
 
-    **Raises:** `InputError` if a function returns something that a system cannot use.
+    **Raises:** `InputError` if an argument is invalid, or if a function returns values of the wrong form.
 
     **Example:** an impact oscillator (Shaw and Holmes, Journal of Sound and Vibration 90 (1983), 129)
 

@@ -219,8 +219,9 @@ def _modes_after(
 ) -> tuple[Values, dict[int, Any]]:
     """Return the modes after an event, and masks of the lanes in which a jump determines a mode anew.
 
-    **Arguments:** `mode`, `before`: modes and states before; `new`: modes with those of the kinks after the event, `y`:
-    states after it; `hit`: masks of events; `jumped`: mask of jumps; `slow`: masks of bounces that end in rest.
+    **Arguments:** `mode`, `before`: modes and states before the event; `new`: modes, in which the kinks are already as
+    after the event; `y`: states after the event. `hit`: masks of events; `jumped`: mask of jumps; `slow`: masks of
+    bounces that end in rest.
     """
     never, after = jnp.zeros_like(hit[0]), tuple(new)
     opened: dict[int, Any] = {}
