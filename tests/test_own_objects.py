@@ -9,6 +9,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.measures import Gauge
@@ -109,6 +110,24 @@ def test_measure_with_the_name_of_a_variable_of_the_package_is_refused():
         sweep(Renamed())
 
 
+@pytest.mark.parametrize(
+    ("summed", "increments", "message"),
+    [
+        (("stick",), {"stick": 0.0}, 'Mine sums "stick", and so does Shares; give its sum another name'),
+        (("way",), {}, 'gauge Mine: increments gave no "way", which is in `summed` of the gauge'),
+    ],
+)
+def test_wrong_sums_end_in_one_line(summed, increments, message):
+    own = {"summed": summed, "increments": lambda *_: increments, "read": lambda *_: {}}
+    gauge = type("Mine", (Gauge,), own)()
+
+    @dataclass(frozen=True)
+    class Wrong(VibroImpact):
+        measures = (*VibroImpact.measures, gauge)
+
+    assert message in refusal(sweep, Wrong())
+
+
 def test_objects_of_installed_package(tmp_path):
     """Its law, scene, stepper and gauge have names. Unusable objects are left out, each with a line that says why."""
     (tmp_path / "mine.py").write_text(
@@ -178,6 +197,7 @@ def own_law(mu):
     [
         (lambda u, p: p["vx"] * u, "friction law mine: mu asks for 'vx'; there is vs"),
         (lambda u, p: "0.3", "friction law mine: mu gave str; it must give a number"),
+        (lambda u, p: u / np.exp(p["vs"]), "friction law mine: mu uses a function of np"),
         (lambda u, p: p["vs"] * jnp.tanh(u), "friction law mine: mu uses a function that steps cannot expand; use "),
     ],
 )

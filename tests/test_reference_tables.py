@@ -8,6 +8,8 @@ import pytest
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.errors import Place
+from vibrojax.io.variables import VARIABLES
+from vibrojax.lanes.labels import feature_names
 from vibrojax.maps.read import read_point
 from vibrojax.physics.friction import FRICTION_LAWS
 from vibrojax.scenes import SCENES
@@ -32,6 +34,15 @@ def test_variables_agree_with_those_of_dataset(scene, axis):
     ds = vj.run_sweep({"scene": scene, "grid": {axis: [0.7]}, "run": run}, progress=False)
     listed = vj.list_variables(scene)
     assert list(listed.index[listed["where"] == ""]) == list(ds.data_vars)
+
+
+def test_measures_of_the_package_are_variables():
+    """The others end as labels, or as inputs of orbits and error estimates."""
+    hidden = {"finished", "finite", "steps", "trend", "load", "return_interval", "return_growth"}
+    for scene in (SCENES["vibro-impact"](), SCENES["drilling"]()):
+        states = (f"return_{name}" for name in scene.return_states)
+        scales = (f"{name}_scale" for name in scene.return_states)
+        assert feature_names(scene) <= {*VARIABLES, *hidden, *states, *scales}
 
 
 def test_settings_agree_with_run_settings():

@@ -78,6 +78,10 @@ MISTAKES = {
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
     "field asks for 'c'": {"field": lambda t, y, p: {"x": y["v"], "v": -p["c"]}},
     "not jnp, np or math": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
+    "field uses a function of np": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(p["k"]) * y["x"]}},
+    "stop: restitution uses a function of np": {
+        "events": [vj.Impact("stop", lambda t, y, p: 1.0 - y["x"], "v", restitution=lambda p: np.exp(-p["k"]))]
+    },
     "it depends on t; give period=": {"field": FORCED},
     "does not repeat after the period": {"field": FORCED, "section": None, "period": 6.0},
     "does not repeat after": {  # the forcing is 1e-11 of the other terms at states of order one

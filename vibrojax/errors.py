@@ -24,6 +24,8 @@ _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 _REPLACEMENT = "\ufffd"
 _PLAIN_VALUE = re.compile(r"[A-Za-z0-9 _().,/%+:-]*")
 
+NOT_KNOWN_YET = "uses a function of np on a value that is not known yet; use vj.elementary"
+
 CANNOT_EXPAND = "uses a function that steps cannot expand; use + - * / ** and vj.elementary, not jnp, np or math"
 
 
@@ -163,6 +165,8 @@ def problem_of(error: Exception, known: Iterable[str] = ()) -> str:
         return "decides by a value (if, max or min); use vj.elementary.maximum and minimum"
     if "boolean" in text and "operator" in text:
         return "calculates with a comparison; put a vj.Switch on it, and calculate with its side, which is 1 or -1"
+    if "__array__()" in text:
+        return NOT_KNOWN_YET
     if any(part in text for part in ("__array_ufunc__", "scalar", "must be real number", "Series'")):
         return CANNOT_EXPAND
     return f"fails with {type(error).__name__}: {text}"

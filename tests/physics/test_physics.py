@@ -55,6 +55,13 @@ def test_laws_and_defaults_of_the_source():
     assert defaults == {name: both[0] for name, both in PARAMETERS.items()}
 
 
+def test_common_parameters_of_laws_are_one_object():
+    known = {}
+    for law in FRICTION_LAWS.values():
+        for name, parameter in law.parameters.items():
+            assert known.setdefault(name, parameter) is parameter, name
+
+
 @pytest.mark.parametrize(("name", "p"), CASES)
 def test_only_eq_5_9_has_constant_friction_under_impact(name, p):
     """Section 3: F = sgn(u) mu(u) (m1 g + J), but 5.9 uses the constant mu of eq. 5.12 for J."""

@@ -64,7 +64,13 @@ def recorder_for(scene: Scene[Any], keep_returns: int = 0) -> Records:
     always = (Swings(), Impacts()) if isinstance(scene, HasImpacts) else (Swings(),)
     missing = [gauge for gauge in always if not any(isinstance(other, type(gauge)) for other in named)]
     gauges = (*missing, *named)
+    sums = {"time": "the package"}
     for gauge in gauges:
+        for name in gauge.summed:
+            if name in sums:
+                what = f"{type(gauge).__name__} sums {shown(name)}, and so does {sums[name]}"
+                raise InputError(f"scene: {scene.name}: {what}; give its sum another name")
+            sums[name] = type(gauge).__name__
         for need in gauge.needs:
             if not isinstance(scene, need):
                 lacks = f"{scene.name} is no {need.__name__}; {type(gauge).__name__} measures only those"

@@ -188,6 +188,8 @@ def _named(gauge: Gauge[Any], method: str, known: Collection[str], where: str, *
         if name not in known:
             raise InputError(f"{what} gave {shown(name)}, which is not declared; add it to `{where}` of the gauge")
         number_of(f"{what}, {name},", value)
+    if where == "summed" and (missing := [name for name in known if name not in values]):
+        raise InputError(f"{what} gave no {shown(missing[0])}, which is in `{where}` of the gauge")
     return dict(values)
 
 

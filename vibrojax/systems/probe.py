@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vibrojax.errors import CANNOT_EXPAND, InputError, asked, shown, suggestion
+from vibrojax.errors import CANNOT_EXPAND, NOT_KNOWN_YET, InputError, asked, shown, suggestion
 from vibrojax.lazy import jax
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
@@ -332,6 +332,29 @@ class Probe:
         self._check_expands("field", lambda t, y, p: self.rates(t, y, number=False))
         for event in self._events:
             self._check_expands(*self._surface(event))
+        try:
+            jax.eval_shape(self._call_all, *jax.tree.map(np.asarray, (self._t, self._y, self._p)))
+        except InputError as error:
+            if NOT_KNOWN_YET in str(error):
+                raise
+
+    def _call_all(self, t: Any, y: Mapping[str, Any], p: dict[str, Any]) -> None:
+        """Call the functions of the system with values that a compiled program does not know yet."""
+        before, self._p = self._p, p
+        try:
+            self.rates(t, y, number=False)
+            for event in self._events:
+                what, function = self._surface(event)
+                self._call(what, function, t, y, p)
+                if isinstance(event, Friction):
+                    self._call(f"event {event.name}: mass", event.inertia, p)
+                    for part, own in (("law", event.law), ("static", event.static)):
+                        if callable(own) and not isinstance(own, FrictionLaw):
+                            self._call(f"event {event.name}: {part}", own, p)
+                elif isinstance(event, Impact) and event.reset is None:
+                    self._call(f"event {event.name}: restitution", event.bounce, p)
+        finally:
+            self._p = before
 
     def _check_expands(self, what: str, function: Callable[..., Any]) -> None:
         """Try a function on the number types of a step, which `jnp` and `np` functions do not accept."""
