@@ -64,10 +64,8 @@ visit = identity._Walk.visit
 
 
 def visit_unchecked(walk, x):
-    """Identify a function that no module names, such as that of a property, without its checks of types.
-
-    Otherwise its kernels have no digest, and each process traces them. This takes longer than the rest of a test.
-    """
+    """Identify a function that no module names, such as that of a property, without its checks of types. Otherwise its
+    kernels have no digest, and each process traces them. This takes longer than the rest of a test."""
     has_checks = isinstance(x, FunctionType) and x.__code__.co_filename == checked.__code__.co_filename
     visit(walk, x.__wrapped__ if has_checks and identity._known_name(x) is None else x)
 

@@ -96,10 +96,8 @@ BELT = mass(
 
 def belt_period(v: float, rise: float, w: float = 1.0) -> float:
     """Return the period of stick-slip. `rise` is the change of the spring's length between static and kinetic friction.
-
     While the mass slips, it swings about the kinetic equilibrium, from `rise` above it to `rise` below it. While it
-    sticks, the belt carries it back.
-    """
+    sticks, the belt carries it back."""
     return 2 * (np.pi - np.arctan(rise * w / v)) / w + 2 * rise / v
 
 
@@ -152,10 +150,8 @@ def lorenz(section):
 
 
 class Rigid(NamedTuple):
-    """An orbit of one impact, with the force's `phase` [rad] and the mass's `speed` [m/s] there.
-
-    `multipliers` are sorted by falling modulus. `section` is the state (x, v) at the section.
-    """
+    """An orbit of one impact, with the force's `phase` [rad] and the mass's `speed` [m/s] there. `multipliers` are
+    sorted by falling modulus. `section` is the state (x, v) at the section."""
 
     phase: float
     speed: float
@@ -221,12 +217,10 @@ def _flow(t: float, stiffness: float, damping: float) -> np.ndarray:
 
 
 def ball_appears(R: float) -> float:
-    """Return a/g at which the orbit of a ball that meets the table once per period appears, in a fold.
-
-    The ball flies for a period T, so that it leaves and meets the table at speed gT/2, where the table's velocity is
-    gT/2 (1 - R)/(1 + R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes,
-    *Nonlinear Oscillations*, 1983, section 2.4, here without the approximation of high bounces.
-    """
+    """Return a/g at which the orbit of a ball that meets the table once per period appears, in a fold. The ball flies
+    for a period T, so that it leaves and meets the table at speed gT/2, where the table's velocity is gT/2 (1 - R)/(1 +
+    R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes, *Nonlinear Oscillations*,
+    1983, section 2.4, here without the approximation of high bounces."""
     return np.pi * (1 - R) / (1 + R)
 
 
@@ -248,12 +242,9 @@ Journal of Sound and Vibration 108 (1986), 305."""
 
 def friction_stops(w: float, zeta: float) -> float:
     """Return the friction, relative to the amplitude of the force, above which the mass of `SHAKEN` stops at its
-    turning points.
-
-    In the half cycle from x0 to -x0, the distance z from the forced oscillation satisfies z(T/2) = M z(0), and the
-    friction displaces the equilibrium. The amplitude follows from the half cycle. It is also the amplitude at which the
-    force just overcomes twice the friction where the mass turns.
-    """
+    turning points. In the half cycle from x0 to -x0, the distance z from the forced oscillation satisfies z(T/2) = M
+    z(0), and the friction displaces the equilibrium. The amplitude follows from the half cycle. It is also the
+    amplitude at which the force just overcomes twice the friction where the mass turns."""
     half = expm(np.array([[0.0, 1.0], [-1.0, -2 * zeta]]) * np.pi / w)
     g, h = np.linalg.solve(np.eye(2) + half, (np.eye(2) - half)[:, 0])
     amplitude = (1 + (1 - w**2) * g + 2 * zeta * h) / w**2  # relative to the friction

@@ -138,11 +138,9 @@ def test_traced_numbers_are_refused_with_advice(name):
 
 
 def test_branch_ends_at_pitchfork():
-    """A symmetric orbit between two walls meets its two twins at a pitchfork, where its own multiplier is 1.
-
-    Close to it they are less than 1 % apart: a twin that is followed beyond does not become the symmetric orbit, which
-    is stable there, nor does the symmetric orbit become a twin on the other side.
-    """
+    """A symmetric orbit between two walls meets its two twins at a pitchfork, where its own multiplier is 1. Close to
+    it they are less than 1 % apart: a twin that is followed beyond does not become the symmetric orbit, which is stable
+    there, nor does the symmetric orbit become a twin on the other side."""
     twin, symmetric = (vj.as_jax(WALLS, of="impact_velocity", by="d", start=[0.1, 0.3], at=[at]) for at in (0.32, 0.4))
     d = np.array([[0.32], [0.34], [0.345], [0.37]])
     for function in twin, symmetric:

@@ -100,11 +100,9 @@ def test_orbit_keeps_its_number_where_an_impact_passes_the_section():
 
 @pytest.mark.parametrize("d", [[0.33, 0.34003], [0.34003, 0.33]])
 def test_twins_next_to_a_pitchfork_have_numbers_of_their_own(d):
-    """The motion from rest ends on one twin at 0.33, and on the other one at 0.34003, where the two nearly meet.
-
-    The other two starts end on the same twin at both. Up to the pitchfork twins do not meet, so on the section the
-    order of their velocities does not change.
-    """
+    """The motion from rest ends on one twin at 0.33, and on the other one at 0.34003, where the two nearly meet. The
+    other two starts end on the same twin at both. Up to the pitchfork twins do not meet, so on the section the order of
+    their velocities does not change."""
     starts = [[0.0, 0.0], [0.1, 0.3], [-0.1, -0.3]]
     sweeps = [{"scene": WALLS, "starts": starts[:k], "grid": {"d": d}} for k in (1, 3)]
     alone, all_starts = (vj.attractors(sweep, progress=False).sortby("d") for sweep in sweeps)
@@ -157,10 +155,8 @@ def groups(dataset, starts=None):
 
 
 def test_irregular_lanes_are_grouped_by_statistics():
-    """A chain of lanes, each within a quarter of the next, is one motion. Lanes without impacts are another one.
-
-    Few lanes near many are unassigned: they may be the tail of the larger group's scatter.
-    """
+    """A chain of lanes, each within a quarter of the next, is one motion. Lanes without impacts are another one. Few
+    lanes near many are unassigned: they may be the tail of the larger group's scatter."""
     assert groups(irregular(impact_velocity=[1.0, 1.4, 1.2, 2.0, np.nan, 2.2, 2.1])) == [0, 0, 0, 1, 2, 1, 1]
     assert groups(irregular(impact_velocity=[1.0, 1.1, 1.2, 2.0, 5.0])) == [0, 0, 0, -1, 1]
 

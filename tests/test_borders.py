@@ -160,10 +160,8 @@ def test_command(command, capsys, monkeypatch):
 
 @pytest.mark.long
 def test_wedge_between_points_of_the_grid_is_closed():
-    """At beta = 0.4 the wedge between the torus of one orbit and the stick of another is 0.008 wide in gamma.
-
-    The grid's nearest point in the wedge is at beta = 0.46.
-    """
+    """At beta = 0.4 the wedge between the torus of one orbit and the stick of another is 0.008 wide in gamma. The
+    grid's nearest point in the wedge is at beta = 0.46."""
     grid = {"beta": [0.34, 0.4, 0.46], "gamma": [0.55, 0.6, 0.65, 0.7]}
     ds = vj.borders(SWEEP | {"parameters": {"delta": 0.005}, "grid": grid}, at={"beta": 0.4}, progress=False)
     crossed = ds.crossing_curve.values

@@ -243,11 +243,9 @@ def test_derivatives_along_a_history_agree_with_central_differences():
 
 
 def test_derivatives_along_a_history_resolve_changes_that_move_faster_than_the_motion():
-    """Two equal masses move side by side as cos t, and a change of one stiffness by dk makes them swing apart.
-
-    The acceleration of the difference is then -dk cos t - (1 + 2 kc) times the difference, and that of the mean is
-    -dk/2 cos t minus the mean.
-    """
+    """Two equal masses move side by side as cos t, and a change of one stiffness by dk makes them swing apart. The
+    acceleration of the difference is then -dk cos t - (1 + 2 kc) times the difference, and that of the mean is -dk/2
+    cos t minus the mean."""
     fast, times = np.sqrt(201.0), np.linspace(0.0, 3.0, 31)
     pair = vj.System(
         "pair",

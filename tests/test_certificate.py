@@ -63,10 +63,8 @@ def settled(request):
 @pytest.mark.parametrize("error, end_early", [(1e-3, True), (1e-4, True), (1e-4, False), (1e-6, True)])
 @pytest.mark.long
 def test_error_estimate(settled, error, end_early):
-    """At least 95 % of the lanes that are periodic at 40 s are within their estimate of the value at 400 s.
-
-    Lanes that are still settling at 400 s are included. The median estimate is at most ten times the true error.
-    """
+    """At least 95 % of the lanes that are periodic at 40 s are within their estimate of the value at 400 s. Lanes that
+    are still settling at 400 s are included. The median estimate is at most ten times the true error."""
     box, exact = settled
     spec = sweep(box, error=error, end_early=end_early)
     inputs = spec.inputs()
@@ -106,11 +104,9 @@ def test_check_run_measures_what_estimates_compare(scene):
 
 
 def test_slow_lanes_of_the_check_run():
-    """The check run, which begins where a lane has settled, is extrapolated to its limit.
-
-    These lanes approach their orbits slowly. In the few returns of the check run, less than half of the difference
-    between the two limits develops.
-    """
+    """The check run, which begins where a lane has settled, is extrapolated to its limit. These lanes approach their
+    orbits slowly. In the few returns of the check run, less than half of the difference between the two limits
+    develops."""
     lanes = {"scene": "vibro-impact", "points": SLOW}
     exact = vj.run_sweep(lanes | {"run": {"error": 1e-9, "settle": 200.0, "end_early": False}}, progress=False)
     ds = vj.run_sweep(lanes, progress=False)
@@ -158,9 +154,7 @@ def real_map(first, second):
 
 def lane(return_map, away, cycles=1, returns=25, seen=25, alternating=0.0, impacts=True):
     """Return features and true drift of a lane whose first return has the relative distance `away` from its orbit.
-
-    `alternating` is the amplitude by which successive returns on the orbit alternate.
-    """
+    `alternating` is the amplitude by which successive returns on the orbit alternate."""
     states, period, velocity = [], [], []
     state = ORBIT + away * np.array([0.4, -1.0, 0.7])
     for k in range(returns):
@@ -194,10 +188,8 @@ def lane(return_map, away, cycles=1, returns=25, seen=25, alternating=0.0, impac
 )
 @pytest.mark.parametrize("returns", [9, 12, 25])
 def test_linear_map(return_map, returns):
-    """Drift is the distance of means and section states from their limits.
-
-    With few returns, the third multiplier still contributes, and the estimate is up to two and a half times too large.
-    """
+    """Drift is the distance of means and section states from their limits. With few returns, the third multiplier still
+    contributes, and the estimate is up to two and a half times too large."""
     features, true = lane(return_map, 1e-3, returns=returns)
     assert true > 5e-5
     assert 0.99 * true <= drift(features, "float64", 1e-7)[0] <= (1.01 if returns == 25 else 2.5) * true
@@ -319,8 +311,7 @@ def test_chaotic_transient_before_two_attractors_is_flagged():
 @pytest.mark.long
 def test_lanes_that_change_with_the_settling_time_are_flagged():
     """Over the plane of the default map, most certified lanes whose attractor changes with the settling time are
-    sensitive. Of the others, at most 1 % change.
-    """
+    sensitive. Of the others, at most 1 % change."""
     grid = {"beta": np.linspace(0.1, 1.2, 24).tolist(), "gamma": np.linspace(0.3, 1.2, 24).tolist()}
     sweep = {"scene": "vibro-impact", "parameters": {"delta": -0.005}, "grid": grid}
     runs = [vj.run_sweep(sweep | {"run": {"settle": settle}}, progress=False) for settle in (40.0, 41.3, 43.7, 47.0)]

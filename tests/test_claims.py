@@ -1,7 +1,6 @@
 """Check figures and links of the README and of the site, and the actions and commands of CI.
 
-The rows of `KEPT` name a sentence, and the file that records its figures, with the text that holds them there.
-"""
+The rows of `KEPT` name a sentence, and the file that records its figures, with the text that holds them there."""
 
 import json
 import re

@@ -76,10 +76,8 @@ SCENES = [
     "scene", [SCENES[0], *(pytest.param(x, marks=pytest.mark.long) for x in SCENES[1:])], ids=lambda x: x.name
 )
 def test_steps_of_scenes_and_laws_agree_with_xla(scene):
-    """Six steps of eight lanes, whose instructions XLA compiles one by one.
-
-    The law popp-arctan amplifies a change by 4e-16 of the parameters to 2.5e-9 of the velocity.
-    """
+    """Six steps of eight lanes, whose instructions XLA compiles one by one. The law popp-arctan amplifies a change by
+    4e-16 of the parameters to 2.5e-9 of the velocity."""
     kind, lanes = ProgramKey(scene, vj.Located(), recorder_for(scene)), np.arange(8)
     parameters = {name: x.default * (1 + 0.02 * lanes) for name, x in scene.parameters().items()}
     given = LaneArguments(parameters, (lanes % max(len(scene.starts), 1)).astype(np.int32))

@@ -149,9 +149,7 @@ def test_every_measure(features, name):
 
 def test_unequal_returns():
     """Means cover whole repeats, and the phase is that of the mean period, wherever in a repeat the observation ends.
-
-    Each impact counts by its own return, whose duration differs from the mean.
-    """
+    Each impact counts by its own return, whose duration differs from the mean."""
     sweep = {"scene": "vibro-impact", "points": {key: [value] for key, value in UNEQUAL.items()}, "starts": ["drive"]}
     lane = vj.run_sweep(sweep | {"run": {"observe": 7.0, "error": ERROR}}, progress=False).squeeze()
     motion = exact.run("vibro-impact", **UNEQUAL, start="drive", settle=40.0, observe=7.0)

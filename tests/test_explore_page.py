@@ -201,10 +201,8 @@ SMALL_TARGETS = """() => [...document.querySelectorAll(".vibrojax :is(button, se
 
 
 def test_phone_with_touch(browser, files):
-    """The sheet leaves the map free, fingers reach every control, a tap reads values, and a zoom moves no plot.
-
-    Where a pixel of the page is 1.5 of the screen, no colours but those of the regimes are between the cells.
-    """
+    """The sheet leaves the map free, fingers reach every control, a tap reads values, and a zoom moves no plot. Where a
+    pixel of the page is 1.5 of the screen, no colours but those of the regimes are between the cells."""
     phone: dict[str, Any] = {"width": 390, "is_mobile": True, "has_touch": True, "device_scale_factor": 1.5}
     with OpenPage(browser, files["few"], "#region=off", **phone) as opened:
         page, map_canvas = opened.page, opened.page.locator(".vx-over")

@@ -276,10 +276,8 @@ def test_families_without_an_equilibrium_do_not_stop_others():
 
 
 def test_family_passes_centre_of_large_amplitude():
-    """Reversed time takes van der Pol's oscillator at mu to that at -mu: periods are equal, multipliers reciprocal.
-
-    At mu = 0, the family crosses that of a centre, whose orbits have every amplitude and the period 2 pi.
-    """
+    """Reversed time takes van der Pol's oscillator at mu to that at -mu: periods are equal, multipliers reciprocal. At
+    mu = 0, the family crosses that of a centre, whose orbits have every amplitude and the period 2 pi."""
     begin = {"at": 0.4, "span": (-0.4, 0.4), "start": [1.0, 0.0], "cycles": 1}
     whole = vj.follow(VAN_DER_POL, along="mu", progress=False, **begin)
     family = whole.isel(point=whole.branch.values == 0, special=whole.special_branch.values == 0)

@@ -28,11 +28,9 @@ GRAZE = oscillator_grazes(**OSCILLATOR)
 
 
 def test_branch_continues_past_graze_where_impact_vanishes():
-    """Downwards, orbits with one impact per period double and end at the closed forms.
-
-    The doubled branch loses its slow impact where the motion after the other impact, in closed form, touches the stop.
-    From there, orbits with one impact in two periods lead down to the graze of the motion without impacts.
-    """
+    """Downwards, orbits with one impact per period double and end at the closed forms. The doubled branch loses its
+    slow impact where the motion after the other impact, in closed form, touches the stop. From there, orbits with one
+    impact in two periods lead down to the graze of the motion without impacts."""
     family = vj.follow(IMPACT_OSCILLATOR, along="a", at=0.61, span=(0.2, 0.65), cycles=2, progress=False)
     doubles = oscillator_doubles((1.5 * GRAZE, 3 * GRAZE), R, **OSCILLATOR)
     assert special_values(family, "period-doubling") == pytest.approx([doubles], rel=1e-8)
@@ -79,10 +77,8 @@ def test_family_continues_where_impact_passes_section():
 
 @pytest.mark.long
 def test_rotations_of_a_pendulum_whose_angle_jumps_back():
-    """The angle returns to -pi at pi. Rotations at the torque 1.5 lose their period at a homoclinic orbit.
-
-    Distances shrink by exp(-c t) (Liouville), all of them across the flow.
-    """
+    """The angle returns to -pi at pi. Rotations at the torque 1.5 lose their period at a homoclinic orbit. Distances
+    shrink by exp(-c t) (Liouville), all of them across the flow."""
     turn = vj.Impact("turn", lambda t, y, p: np.pi - y["phi"], reset=lambda t, y, p: {"phi": y["phi"] - 2 * np.pi})
     pendulum = vj.System(
         "pendulum", states={"phi": "rad", "w": "rad s-1"}, parameters={"torque": 1.5, "c": 0.5},
@@ -104,10 +100,8 @@ def test_rotations_of_a_pendulum_whose_angle_jumps_back():
 )
 def test_fold_and_period_doubling_of_ball_on_shaken_table(phase, last):
     """At the fold the impact has the phase 0, that of the section if `phase` is 0. Upwards, impacts appear one by one.
-
     After each graze the orbits double and turn back once, so near the branch before that a step could lead there. The
-    branch leads to rest, which ends where the table throws the ball.
-    """
+    branch leads to rest, which ends where the table throws the ball."""
     w, g, R, a = 60.0, 9.81, 0.4, 0.0045
     fold, doubles = ball_appears(R) * g / w**2, ball_doubles(R) * g / w**2
     table = vj.Impact("table", lambda t, y, p: y["x"] - p["a"] * cos(w * t + phase - np.pi / 2), "v", R)
@@ -129,8 +123,7 @@ def test_fold_and_period_doubling_of_ball_on_shaken_table(phase, last):
 @pytest.mark.parametrize("at", [pytest.param(0.27, marks=pytest.mark.long), 0.3])
 def test_end_of_chatter_is_no_graze(at):
     """A ball leaves the table where its acceleration exceeds gravity. The end of its bounces passes the section at the
-    amplitude 0.3218; further bounces before rest appear as the amplitude grows.
-    """
+    amplitude 0.3218; further bounces before rest appear as the amplitude grows."""
     family = vj.follow(BALL, along="a", at=at, span=(0.2, 0.35), start=[0.0, 0.0], cycles=1, progress=False)
     assert special_values(family, "grazing") == pytest.approx([9.81 / (2 * np.pi) ** 2], abs=1e-8)
     begin = {"states": [-at * (1 + 1e-13), 0.0], "period": 1.0}  # at rest on the table, as the family gives it
@@ -139,10 +132,8 @@ def test_end_of_chatter_is_no_graze(at):
 
 
 def test_graze_is_the_same_from_both_sides():
-    """The orbit with one impact at each wall grazes both, where a branch with two impacts at each leads to it.
-
-    On the side of two impacts, multipliers grow as the square of the inverse velocity of these impacts.
-    """
+    """The orbit with one impact at each wall grazes both, where a branch with two impacts at each leads to it. On the
+    side of two impacts, multipliers grow as the square of the inverse velocity of these impacts."""
     [smooth], [steep] = (
         special_values(vj.follow(WALLS, along="d", at=0.4, span=span, start=start, cycles=1, progress=False), "grazing")
         for start, span in (([0.2, -0.6], (0.29, 0.41)), ([0.1, 0.3], (0.29, 0.46)))
@@ -159,10 +150,8 @@ def test_graze_is_the_same_from_both_sides():
     ],
 )
 def test_branch_point_is_the_same_from_both_branches(d, at, start, value):
-    """At this restitution twins leave a symmetric orbit, at d = 0.341 within 1e-3 of their swing.
-
-    The family begins on the symmetric orbit or on a twin. Its branches end at the bounds, the twins on one side.
-    """
+    """At this restitution twins leave a symmetric orbit, at d = 0.341 within 1e-3 of their swing. The family begins on
+    the symmetric orbit or on a twin. Its branches end at the bounds, the twins on one side."""
     bounds = {"span": (0.6, 0.99), "settle": 2000.0}
     family = vj.follow(WALLS, along="r", at=at, start=start, d=d, cycles=1, progress=False, **bounds)
     [crossing] = np.concatenate([special_values(family, "branch-point", branch) for branch in (0, 1)])
@@ -178,13 +167,11 @@ def grazes_against_friction(w, damping, stop, grip):
 
 
 def test_branches_pass_and_join_at_a_graze_against_friction():
-    """Friction turns the mass where it grazes, so that two events coincide. The amplitude there is known.
-
-    From the greatest to the least position, the distance from the forced oscillation and from the equilibrium under
-    friction obeys the flow of the free oscillation (Den Hartog, Transactions of the ASME 53 (1931), 107). The branch of
-    one impact in two periods joins the motion without impact there. Along the frequency, the branch turns back at the
-    graze and leads on without impacts; there are two impacting orbits up to a fold.
-    """
+    """Friction turns the mass where it grazes, so that two events coincide. The amplitude there is known. From the
+    greatest to the least position, the distance from the forced oscillation and from the equilibrium under friction
+    obeys the flow of the free oscillation (Den Hartog, Transactions of the ASME 53 (1931), 107). The branch of one
+    impact in two periods joins the motion without impact there. Along the frequency, the branch turns back at the graze
+    and leads on without impacts; there are two impacting orbits up to a fold."""
     damping, stop, grip = 0.1, 0.6, 0.2
     events = [
         vj.Impact("wall", gap=lambda t, y, p: stop - y["x"], velocity="v", restitution=0.7),

@@ -73,9 +73,7 @@ def test_large_sweep(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("page", [page for page in PAGES if page != "large_sweeps"])
 def test_all_code_of_page_is_run(page):
     """Python is executed. Commands and files are run here, except the installation and a table of another project.
-
-    Another test runs those of the page that is left out.
-    """
+    Another test runs those of the page that is left out."""
     blocks = [match for match in FENCE.finditer((NOTEBOOKS / f"{page}.md").read_text())]
     code = [match["info"] for match in blocks if re.match(r"(python|sh|toml)\b", match["info"])]
     assert [info for info in code if "=" not in info] == {"start": ["sh"], "your_own": ["toml"]}.get(page, [])

@@ -126,10 +126,8 @@ def test_keep_returns():
 
 
 def test_float32():
-    """In single precision and at the full 48 s, periodic cases have the right regime.
-
-    Their period and impact velocity are right to 3e-6. No lane is abandoned, the irregular ones included.
-    """
+    """In single precision and at the full 48 s, periodic cases have the right regime. Their period and impact velocity
+    are right to 3e-6. No lane is abandoned, the irregular ones included."""
     single = vj.run_sweep(sweep(CASES, precision="float32"), progress=False)
     assert np.all(single.status == 0)
     for index, case in enumerate(CASES):

@@ -79,11 +79,8 @@ def test_multipliers_of_rock():
 
 @pytest.mark.long
 def test_coupled_rock_matches_exact_motion():
-    """Compare the multipliers of five states with central differences.
-
-    The rock is damped so lightly that it still moves at the next impact. It yields in the second lane, which makes a
-    multiplier zero.
-    """
+    """Compare the multipliers of five states with central differences. The rock is damped so lightly that it still
+    moves at the next impact. It yields in the second lane, which makes a multiplier zero."""
     points = {"beta": [0.4626, 0.58], "gamma": [0.67, 0.6341], "v": [1.349, 1.351]}
     points |= {"zeta": [0.02357, 0.03134], "threshold": [13.81e3, 26.87e3], "k3": [9.912e6, 26.69e6]}
     sweep = {"scene": "coupled-drilling", "points": points, "starts": ["stuck"], "unusual": True}

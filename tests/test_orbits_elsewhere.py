@@ -146,10 +146,8 @@ ROTOR = vj.System("rotor", states=dict.fromkeys("csy", "1"), parameters={"growth
 
 @pytest.fixture(scope="module")
 def doubled_lane():
-    """Return a lane near an unstable 4-cycle, at least 15 s before it approaches its stable 8-cycle.
-
-    It runs without and with orbits, and with orbits after 120 s.
-    """
+    """Return a lane near an unstable 4-cycle, at least 15 s before it approaches its stable 8-cycle. It runs without
+    and with orbits, and with orbits after 120 s."""
     sweep = {"scene": "vibro-impact", "parameters": DOUBLED, "grid": {"beta": [0.189708]}, "starts": ["stuck"]}
     runs = ({"settle": 60.0}, {"settle": 60.0, "orbits": True}, {"settle": 120.0, "orbits": True})
     return [vj.run_sweep(sweep | {"run": run, "unusual": True}, progress=False).squeeze() for run in runs]

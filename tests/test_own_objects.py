@@ -78,10 +78,8 @@ class Measured(VibroImpact):
 
 
 def test_own_measure(usual):
-    """The measure is in the dataset with its unit.
-
-    In a period the striker goes up and down by its swing, because steps end at its turning points.
-    """
+    """The measure is in the dataset with its unit. In a period the striker goes up and down by its swing, because steps
+    end at its turning points."""
     own = sweep(Measured())
     assert own.striker_mean_speed.attrs["units"] == "m s-1"
     clean = (own.cycles == 1) & (own.striker_turns == 1)

@@ -37,11 +37,9 @@ HARD = {  # stiff contacts, with c0 and c2 at their extremes
 SHARES = ("stick_fraction", "reverse_fraction")
 
 BURSTS = 14
-"""Case of vibro_impact_cases.json that is chaotic with slow bursts.
-
-In about one of six realisations, decided by rounding, its swings rise or fall strictly over the eight eighths of the
-observation. Then the rule for "undecided", which comes first, applies.
-"""
+"""Case of vibro_impact_cases.json that is chaotic with slow bursts. In about one of six realisations, decided by
+rounding, its swings rise or fall strictly over the eight eighths of the observation. Then the rule for "undecided",
+which comes first, applies."""
 
 
 def read(name):

@@ -110,10 +110,8 @@ def test_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
     [(-0.08, 1.06, True, (0.7, 0.67), ""), (0.2, 0.96, False, (0.2, 0.05), "their interaction causes 10 ± 5 % of the")],
 )
 def test_text_says_that_shares_beyond_their_range_end_there(first, total, is_beyond, second, claim):
-    """Few samples may estimate a share of the variance below 0 or above 1; the picture says the same.
-
-    An interaction has at most the smaller of the total shares, 10 %, and is claimed beyond its uncertainty only.
-    """
+    """Few samples may estimate a share of the variance below 0 or above 1; the picture says the same. An interaction
+    has at most the smaller of the total shares, 10 %, and is claimed beyond its uncertainty only."""
     table = {"first_order": first, "first_order_conf": 0.1, "total_order": total, "total_order_conf": 0.2, "effect": 1}
     values = {name: (("of", "parameter"), [[x, 0.1]]) for name, x in table.items()}
     pairs = zip(("second_order", "second_order_conf", "interaction"), (*second, np.nan), strict=True)

@@ -1,7 +1,6 @@
 """Test that invalid sweep files give one line that names the file, the key and the value, and suggests a fix.
 
-VIBROJAX_FUZZ=100000 pytest tests/test_sweep_file_refused.py -k fuzzed searches longer.
-"""
+VIBROJAX_FUZZ=100000 pytest tests/test_sweep_file_refused.py -k fuzzed searches longer."""
 
 import os
 from pathlib import Path

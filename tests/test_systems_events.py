@@ -1,7 +1,6 @@
 """Systems whose events meet: jumps across the surfaces of other events, kinks, discrete states, and their refusals.
 
-Right values are closed forms, or follow from an independent integration by SciPy (stated at the test).
-"""
+Right values are closed forms, or follow from an independent integration by SciPy (stated at the test)."""
 
 import functools
 
@@ -292,10 +291,8 @@ def test_argument_with_default_is_not_a_side():
 
 
 def test_section_is_a_function():
-    """On a circle, y - k x rises through zero once a turn. One of the multipliers is zero.
-
-    r' = r (1 - r²), phi' = 1.4: the other is exp(-2 T) with the period T = 2 pi/1.4.
-    """
+    """On a circle, y - k x rises through zero once a turn. One of the multipliers is zero. r' = r (1 - r²), phi' = 1.4:
+    the other is exp(-2 T) with the period T = 2 pi/1.4."""
 
     def circle(t, y, p):
         growth = 1 - (y["x"] * y["x"] + y["y"] * y["y"])
@@ -347,10 +344,8 @@ def test_start_on_the_surface_of_a_reset():
 @pytest.mark.long
 def test_friction_and_a_switch_on_one_velocity_hold_one_at_a_time():
     """v' = f + 2 below v = 1 and f - 2 above, with friction 1 and f = -t/4: v slides at 1, falls, sticks and reverses.
-
     The mass slips at once and reaches v = t - t²/8 = 1 at 4 - sqrt(8). It slides until f = -1 at 4, stops sqrt(8)
-    later, and sticks until f = -3 at 12.
-    """
+    later, and sticks until f = -3 at 12."""
     system = vj.System(
         "limited",
         states={"x": "m", "v": "m s-1", "f": "m s-2"},

@@ -47,10 +47,8 @@ class Doubtful(Exception):
 
 @dataclass
 class Motion:
-    """A motion: states at the given times (NaN after the doubtful point), and its events.
-
-    `events`: tuples of time, name, kind and speed, with NaN for events without one. `doubt`: time and reason.
-    """
+    """A motion: states at the given times (NaN after the doubtful point), and its events. `events`: tuples of time,
+    name, kind and speed, with NaN for events without one. `doubt`: time and reason."""
 
     times: np.ndarray
     states: np.ndarray
@@ -277,10 +275,8 @@ class Hybrid:
         return result
 
     def _segment(self, t0, y0, mode, times, filled, states):
-        """Integrate one mode. Return the number of filled samples, and time, state and event at the end.
-
-        The time x counts from the begin of the mode, so that short flights between bounces are resolved.
-        """
+        """Integrate one mode. Return the number of filled samples, and time, state and event at the end. The time x
+        counts from the begin of the mode, so that short flights between bounces are resolved."""
 
         def rhs(x, y):
             return self.motion(mode, t0 + x, y)[0]

@@ -132,10 +132,8 @@ if os.geteuid() == 0:  # root obeys the modes of files too, once it has dropped 
 
 
 def test_chunks_closed_deleted_truncated_and_flipped(folder, whole):
-    """The folder is closed while the sweep runs, and its chunks stay.
-
-    Then each damaged chunk is reported and computed again; the others are used.
-    """
+    """The folder is closed while the sweep runs, and its chunks stay. Then each damaged chunk is reported and computed
+    again; the others are used."""
     process = start_sweep(folder, before=BOUND_BY_MODES)
     wait_for(lambda: len(chunks(folder)) >= 3, process)
     closed = folder / "map.nc.chunks"
@@ -178,9 +176,7 @@ def test_two_processes_on_one_output(folder, whole):
 )
 def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
     """Ctrl-C and SIGTERM are answered with how to continue, which works; after SIGKILL too, finished chunks are used.
-
-    The limit is a second or, if other work slows the machine, twice the time of importing jax there.
-    """
+    The limit is a second or, if other work slows the machine, twice the time of importing jax there."""
     process = start_sweep(folder, "--fresh")
     wait_for(lambda: chunks(folder), process)
     began = time.monotonic()

@@ -17,10 +17,8 @@ import vibrojax as vj
     "changes", [{}, {"k0": 1e9, "c0": 1e3}, {"delta": -0.02, "start": "drive"}, {"mu": 10.0}, {"c0": 1e5}]
 )
 def test_invariants_at_every_instant(changes):
-    """Friction brakes. In contact J is no less than k0 (x2 - delta) + c0 x2', and it never pulls.
-
-    The ledger of energy holds: F v = F u + c2 x2'^2 + J x2' + change of energy.
-    """
+    """Friction brakes. In contact J is no less than k0 (x2 - delta) + c0 x2', and it never pulls. The ledger of energy
+    holds: F v = F u + c2 x2'^2 + J x2' + change of energy."""
     point = USUAL | changes
     motion = vj.simulate("vibro-impact", **point, duration=0.5, sampling=5e-6, progress=False)
     m1, k1 = 250.0, 156250.0

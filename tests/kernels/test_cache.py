@@ -166,10 +166,8 @@ def printed(names, cache, seed="0"):
 
 
 def test_digests(tmp_path):
-    """Equal objects have one digest, whatever changes a trace changes it, and what is uncertain has none.
-
-    A second process, in which sets and hashes have another order, finds every kernel of the first.
-    """
+    """Equal objects have one digest, whatever changes a trace changes it, and what is uncertain has none. A second
+    process, in which sets and hashes have another order, finds every kernel of the first."""
     digests = ["of_equal", "of_different", "of_uncertain", "of_patched"]
     [kernels, found], equal, different, uncertain, (before, after) = printed(["traced", *digests], tmp_path, seed="1")
     assert all(first == second is not None for first, second in equal)

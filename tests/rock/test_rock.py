@@ -77,8 +77,7 @@ def sweeps():
 
 def test_one_way_coupling_leaves_drill_unchanged(sweeps):
     """The equations for x1 and x2 are the same, so labels and counts are equal. Steps also end on the rock's switches,
-    so the other quantities agree to the error of the steps, 1e-8.
-    """
+    so the other quantities agree to the error of the steps, 1e-8."""
     free, drilling = sweeps["vibro-impact"], sweeps["drilling"]
     assert np.all(free.cycles > 0)
     for name in ("regime", "cycles", "impacts", "returns", "striker_turns", "status", "reason"):

@@ -48,9 +48,7 @@ CIRCLE = 0.5 * np.exp(2j * np.pi * np.arange(256) / 256)
 
 def cauchy(values):
     """Return c_k = 1/(2 pi i) integral f(z) z^-(k+1) dz over the circle |z| = 0.5, from the values [256, lanes] of f.
-
-    The trapezoidal rule converges exponentially on a circle.
-    """
+    The trapezoidal rule converges exponentially on a circle."""
     return (np.fft.fft(values, axis=0)[: ORDER + 1] / 256 / 0.5**POWERS).real
 
 
