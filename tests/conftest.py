@@ -123,6 +123,13 @@ def few_mappings():
         jax.clear_caches()
 
 
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Return an empty folder, in which the test runs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
 @pytest.fixture(scope="module")
 def browser():
     with chromium() as instance:

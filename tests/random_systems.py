@@ -59,8 +59,8 @@ def system_of(described: Described) -> vj.System:
         return vj.Switch(e.name, plain(e.function))
 
     rates = {name: function(expression) for name, expression in described.field.items()}
-    with_sides = lambda t, y, p, s: {name: f(t, y, p, s) for name, f in rates.items()}  # noqa: E731
-    without = lambda t, y, p: {name: f(t, y, p) for name, f in rates.items()}  # noqa: E731
+    with_sides = lambda t, y, p, s: {name: f(t, y, p, s) for name, f in rates.items()}
+    without = lambda t, y, p: {name: f(t, y, p) for name, f in rates.items()}
     period = (
         {"period": lambda p: 2 * np.pi / p["omega"]} if described.section is None else {"section": described.section}
     )

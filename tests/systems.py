@@ -13,22 +13,24 @@ positive, table = vj.parameters.positive, vj.parameters.table
 cos = vj.elementary.cos
 
 
+def system(states, field, *events, name="own", parameters=None, **options):
+    """Return a system; states that are names only have no unit."""
+    states = states if isinstance(states, dict) else dict.fromkeys(states, "1")
+    return vj.System(name, states=states, parameters=parameters or {"q": 1.0}, field=field, events=events, **options)
+
+
 def mass(rate, *events, name="mass", parameters=None, **options):
     """Return a system of one mass; `rate` gives its acceleration, as a field does. The period is 1 s by default."""
-    fields = {
-        3: lambda t, y, p: {"x": y["v"], "v": rate(t, y, p)},
-        4: lambda t, y, p, s: {"x": y["v"], "v": rate(t, y, p, s)},
-    }
+    fields = {3: lambda t, y, p: {"x": y["v"], "v": rate(t, y, p)}}
+    fields[4] = lambda t, y, p, s: {"x": y["v"], "v": rate(t, y, p, s)}
     field, states = fields[len(signature(rate).parameters)], {"x": "m", "v": "m s-1"}
-    options = {"parameters": parameters or {"q": 1.0}, **(options or {"period": 1.0})}
-    return vj.System(name, states=states, field=field, events=events, **options)
+    return system(states, field, *events, name=name, parameters=parameters, **(options or {"period": 1.0}))
 
 
 def one_state(rate, *events, **options):
     """Return a system of one state x; `rate` gives its rate, as a field does."""
     fields = {3: lambda t, y, p: {"x": rate(t, y, p)}, 4: lambda t, y, p, s: {"x": rate(t, y, p, s)}}
-    field = fields[len(signature(rate).parameters)]
-    return vj.System("one-state", states={"x": "1"}, field=field, events=events, **options)
+    return system("x", fields[len(signature(rate).parameters)], *events, name="one-state", **options)
 
 
 def ends(system, start, duration, **options):
@@ -76,7 +78,7 @@ WALLS = mass(
 
 BALL = mass(
     lambda t, y, p: -p["g"],
-    vj.Impact("table", lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t), velocity="v", restitution=lambda p: p["r"]),
+    vj.Impact("table", lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t), "v", restitution=lambda p: p["r"]),
     name="ball",
     parameters={"g": 9.81, "a": 0.0, "w": 2 * np.pi, "r": 0.5},
     period=lambda p: 2 * np.pi / p["w"],
@@ -136,17 +138,11 @@ BELT_OSCILLATOR = mass(
 
 
 def lorenz(section):
-    return vj.System(
-        "lorenz",
-        states={"x": "1", "y": "1", "w": "1"},
-        parameters={"r": 28.0},
-        field=lambda t, y, p: {
-            "x": 10.0 * (y["y"] - y["x"]),
-            "y": y["x"] * (1.0 - y["w"]) - y["y"],
-            "w": y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0),
-        },
-        section=section,
-    )
+    def field(t, y, p):
+        across = y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0)
+        return {"x": 10.0 * (y["y"] - y["x"]), "y": y["x"] * (1.0 - y["w"]) - y["y"], "w": across}
+
+    return system("xyw", field, name="lorenz", parameters={"r": 28.0}, section=section)
 
 
 class Rigid(NamedTuple):
@@ -199,10 +195,7 @@ def oscillator_doubles(
     between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
 ) -> float:
     """Return the amplitude `a`, within `between`, at which the fastest orbit doubles: 1 + trace + determinant = 0."""
-
-    def product(a: float) -> float:
-        return float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
-
+    product = lambda a: float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
     return float(brentq(product, *between, xtol=1e-15))
 
 

@@ -16,7 +16,6 @@ from vibrojax.lanes import certificate
 from vibrojax.periodic import lane_stages
 from vibrojax.pictures.selection import MOST_LANES
 from vibrojax.settings.toml import bundled_names
-from vibrojax.stepping import Located
 
 ROOT = Path(__file__).parents[1]
 
@@ -60,9 +59,6 @@ def test_readme_describes_bundled_sweeps():
     assert sweep.axes["delta"].tolist() == [-0.005, 0.005] and len(sweep.starts) == 2
     names = readme.partition("runs a bundled sweep (")[2].partition(")")[0]
     assert sorted(re.findall(r"`([\w-]+)`", names)) == bundled_names()
-
-
-def test_counts_of_cases():
     names = ("vibro_impact_cases.json", "penetration_cases.json")
     drill, rock = (len(json.loads((ROOT / "tests" / "data" / name).read_text())) for name in names)
     assert f"On the {drill} reference cases in" in text_of("README.md")
@@ -72,12 +68,12 @@ def test_counts_of_cases():
 
 def test_constants():
     methods, accuracy, large = map(text_of, ("how_it_works", "accuracy", "large_sweeps"))
-    assert f"a Taylor series of order {Located().order}" in methods
+    assert f"a Taylor series of order {vj.Located().order}" in methods
     assert f"at least {lane_stages.EARLY_END_MIN_SECONDS:,.0f} simulated seconds, or" in methods
     starts = f"at least {lane_stages.SHARING_MIN_STARTS} starts"
     assert f"or {lane_stages.SHARING_MIN_SECONDS:,.0f} if each point has {starts}" in methods
     assert f"If a point has {starts}, its lanes share" in methods
-    assert Located().coarser_by == 10 and "ten times coarser" in accuracy
+    assert vj.Located().coarser_by == 10 and "ten times coarser" in accuracy
     assert f"more than {certificate.GROWTH_RETURNS:g} returns" in accuracy and certificate.CHANGE == 1e-9
     assert f"chunks of {lane_stages.CHUNK:,} lanes" in large
     assert f"of over {LAZY_FROM / 1e6:g} MB is opened" in large and f"draws {MOST_LANES:,} lanes at most" in large
@@ -103,7 +99,6 @@ def test_times_match_benchmarks():
 
 
 # Links, names in the reference, and the actions and commands of CI
-
 PAGES = sorted((ROOT / "notebooks").rglob("*.md"))
 TEXTS = ["README.md", "CHANGELOG.md", ".github/CONTRIBUTING.md", "tests/benchmarks/README.md", "tests/hard/README.md"]
 
@@ -146,11 +141,8 @@ def test_gallery_shows_every_script_with_its_picture():
     assert len(re.findall(r'^    alt: "[^"]+"$', page, re.MULTILINE)) == len(names)
 
 
-def test_notebooks_have_no_stored_outputs():
-    assert [path.name for path in (ROOT / "notebooks").glob("*.ipynb") if '"output_type"' in path.read_text()] == []
-
-
 def test_actions_are_pinned_by_commit():
     texts = [path.read_text() for path in (ROOT / ".github/workflows").glob("*.yml")]
     used = [action for text in texts for action in re.findall(r"uses: (\S+)", text)]
     assert len(texts) == 2 and used and all(re.fullmatch(r"[\w/-]+@[0-9a-f]{40}", action) for action in used)
+    assert [path.name for path in (ROOT / "notebooks").glob("*.ipynb") if '"output_type"' in path.read_text()] == []

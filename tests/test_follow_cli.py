@@ -9,7 +9,6 @@ from refusals import command_refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.dataset import open_dataset
 from vibrojax.studies.family_analysis import family_lines
 
 ARGUMENTS = ("along=gamma", "at=0.45", "from=0.36", "to=0.5", "beta=0.4", "settle=30", "cycles=2")
@@ -34,15 +33,12 @@ def here(folder, monkeypatch):
 
 def test_command_writes_result_of_python(here):
     settings = {"along": "gamma", "at": 0.45, "span": (0.36, 0.5), "beta": 0.4, "settle": 30.0, "cycles": 2}
-    expected, written = vj.follow("vibro-impact", progress=False, **settings), open_dataset("one.nc")
+    expected, written = vj.follow("vibro-impact", progress=False, **settings), vj.open_dataset("one.nc")
     assert (here / "one.png").exists()
     assert set(written.variables) == set(expected.variables)
     for name in expected.variables:
         np.testing.assert_array_equal(written[name], expected[name], name)
     assert written.attrs["start"] == "drive" and written.attrs["span"].tolist() == [0.36, 0.5]
-
-
-def test_output_lists_special_points_and_stability(here):
     lines = (here / "said.txt").read_text().splitlines()
     assert "on 2 branches over gamma 0.36 to 0.5" in lines[0]
     (doubling,) = (line for line in lines if line.startswith("period-doubling"))
@@ -59,7 +55,7 @@ def test_json_output(here, capsys):
 
 
 def test_list_gives_as_many_families(here, capsys):
-    two, single = open_dataset("two.nc"), open_dataset("one.nc")
+    two, single = vj.open_dataset("two.nc"), vj.open_dataset("one.nc")
     assert two["beta"].values.tolist() == [0.38, 0.4] and two["beta"].dims == ("family",)
     same = two.isel(point=np.flatnonzero(two["point_family"] == 1))
     np.testing.assert_allclose(same["gamma"], single["gamma"], rtol=1e-9)

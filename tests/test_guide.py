@@ -33,8 +33,7 @@ def run(block, page=START) -> list[int]:
     return [main(line[1:]) for line in lines]
 
 
-def test_first_motion(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_first_motion(here, capsys):
     assert run("sh run=motion") == [0]
     assert capsys.readouterr().out.splitlines()[0] == START[""].strip()
     assert Path("vibro-impact.nc").is_file() and Path("vibro-impact.png").is_file()
@@ -43,8 +42,7 @@ def test_first_motion(tmp_path, monkeypatch, capsys):
     assert 'did you mean "gamma"?' in line
 
 
-def test_first_map(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_first_map(here, capsys):
     Path("map.toml").write_text(START["toml file=map.toml"].replace("num = 24", "num = 2"))
     assert run("sh run=map") == [0, 0, 0]
     lines = capsys.readouterr().out.splitlines()
@@ -57,9 +55,8 @@ def test_first_map(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.long
-def test_large_sweep(tmp_path, monkeypatch, capsys):
+def test_large_sweep(here, capsys):
     pytest.importorskip("distributed")
-    monkeypatch.chdir(tmp_path)
     Path("map.toml").write_text(LARGE["toml file=map.toml"])
     assert run("sh run=plan", LARGE) == [0]
     assert capsys.readouterr().out.startswith("lanes   60 (6 beta x 5 gamma x 2 start) in 8 chunks\n")
@@ -81,7 +78,6 @@ def test_all_code_of_page_is_run(page):
 
 
 # The commands of the README's table, on small files of the reader's own
-
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 TABLE = README.split("## I want to …")[1].split("\n\n")[1]
 COMMANDS = [words for words in re.findall(r"`vibrojax ([^`]+)`", TABLE) if not words.startswith("accuracy")]

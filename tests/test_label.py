@@ -24,9 +24,14 @@ def regime(**changes):
     return REGIMES[flags[0]]
 
 
-def test_flags_keep_their_numbers():
+def test_flags_keep_their_numbers_and_rest_has_a_least_friction():
     names = "undecided equilibrium impact-free single-impact multi-impact subharmonic irregular failed"
     assert tuple(names.split()) == REGIMES
+    # A law with mu(0+) = 0 (2.15) is measured by max(mu(0+), 0.01).
+    features = {name: np.array([value, value]) for name, value in SINGLE.items()}
+    features["bit_amplitude"] = 1e-3 * 0.01 * M1 * G / K1 * np.array([0.99, 1.01])
+    flags = label(features, np.zeros(2), np.full(2, M1), np.full(2, G), np.full(2, K1))
+    assert [REGIMES[flag] for flag in flags] == ["equilibrium", "single-impact"]
 
 
 @pytest.mark.parametrize(
@@ -53,16 +58,7 @@ def test_rules_in_order(changes, expected):
     assert regime(**changes) == expected
 
 
-def test_least_friction():
-    """A law with mu(0+) = 0 (2.15) is measured by max(mu(0+), 0.01)."""
-    features = {name: np.array([value, value]) for name, value in SINGLE.items()}
-    features["bit_amplitude"] = 1e-3 * 0.01 * M1 * G / K1 * np.array([0.99, 1.01])
-    flags = label(features, np.zeros(2), np.full(2, M1), np.full(2, G), np.full(2, K1))
-    assert [REGIMES[flag] for flag in flags] == ["equilibrium", "single-impact"]
-
-
 # Hidden motions: starts that end in different motions with one label
-
 STARTS = ["drive", "stuck", "touching"]
 
 

@@ -57,8 +57,6 @@ def test_sticking_makes_a_multiplier_zero(cases):
 
 
 # Other scenes
-
-
 def test_multipliers_of_rock():
     points, soft = {"beta": [0.3, 0.4], "gamma": [0.7, 0.75]}, {"threshold": [2e4, 2e4]}
     drill, one_way, coupled = (
@@ -100,8 +98,6 @@ def test_coupled_rock_matches_exact_motion():
 
 
 # Replaced features, and refused orbits
-
-
 def test_irregular_and_failed_lanes_have_no_orbit():
     tables = {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON}
     irregular = vj.run_sweep(tables, progress=False)
@@ -112,8 +108,6 @@ def test_irregular_and_failed_lanes_have_no_orbit():
 
 
 # Commands and files
-
-
 def test_other_features_do_not_change():
     """Orbits change only the features that they replace, and add their own variables."""
     columns = {name: [case["point"][name] for case in (CASES[0], CASES[4], CASES[8])] for name in CASES[0]["point"]}

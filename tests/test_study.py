@@ -85,14 +85,13 @@ def test_rare_changes_are_not_mistaken_for_certainty():
     assert unseen  # for some seeds
 
 
-def test_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_command_writes_draws_and_explains(here, capsys):
     table = {**STUDY, "samples": 8}
-    (tmp_path / "own.toml").write_text(read_source(table, "study").text)
+    (here / "own.toml").write_text(read_source(table, "study").text)
     assert main(["study", "own.toml", "--quiet"]) == 0
     with xr.open_dataset("own-study.nc") as ds:
         assert ds.attrs["kind"] == "study" and ds.attrs["samples"] == 8
-    assert (tmp_path / "own-study.png").read_bytes().startswith(b"\x89PNG") and not list(tmp_path.glob("*.chunks"))
+    assert (here / "own-study.png").read_bytes().startswith(b"\x89PNG") and not list(here.glob("*.chunks"))
     assert main(["study", "own.toml"]) == 0
     out = capsys.readouterr().out
     assert "is there already" in out and "impact energy:" in out

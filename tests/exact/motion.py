@@ -8,9 +8,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from exact.flow import swung
-from exact.parameters import parameters
+from exact.parameters import Pulses, parameters
 from exact.polynomials import GAUSS, WEIGHTS, N, first_fall
-from exact.pulses import Pulses
 from exact.scenes import Phase, Scene
 
 MOST_AT_ONCE = 50

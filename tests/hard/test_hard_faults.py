@@ -18,9 +18,8 @@ import xarray as xr
 from commands import end_of, start, wait_for
 from kills import Kills
 
+import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.dataset import open_dataset
-from vibrojax.io.writers import write_dataset
 
 CHUNKS = 12
 SWEEP = f"""
@@ -93,15 +92,15 @@ def test_disk_fills_at_any_byte(tmp_path):
     values = np.random.default_rng(0).random(2000)
     dataset = xr.Dataset({"x": ("lane", values)}, attrs={"source": "vibrojax 0"})
     out = tmp_path / "out.nc"
-    write_dataset(dataset, out)
+    vj.write_dataset(dataset, out)
     size, seen = out.stat().st_size, set()
     for limit in [*range(1, size, size // 40), size]:
         out.unlink(missing_ok=True)
         try:
             with limited_files(limit):
-                write_dataset(dataset, out)
+                vj.write_dataset(dataset, out)
             seen.add("whole")
-            xr.testing.assert_identical(open_dataset(out), dataset)
+            xr.testing.assert_identical(vj.open_dataset(out), dataset)
         except OSError as error:
             seen.add(error.strerror)
             assert list(tmp_path.iterdir()) == []
