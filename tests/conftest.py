@@ -75,7 +75,7 @@ identity._Walk.visit = visit_unchecked
 
 LONGEST = re.compile(
     r"test_(plots|systems_events|explore_page|sensitivity|datasets_on_disk|systems|sealed_datasets|explore_served"
-    r"|design|orbits|follow_cli|follow_rigid|finished_results|workers|workers_slurm)\.py"
+    r"|design|orbits|follow|follow_rigid|finished_results|workers|workers_slurm)\.py"
 )
 """Slowest files. They start first, so that no process is left alone with one of them at the end."""
 

@@ -112,6 +112,14 @@ def test_measure_with_the_name_of_a_variable_of_the_package_is_refused():
     assert "Period declares period, which is a variable of vibrojax; give it another" in refusal(sweep, Renamed())
 
 
+def install(folder, name, group, entry_points):
+    """Make a package known as pip does."""
+    about = folder / f"{name}-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("\n".join([f"[vibrojax.{group}]", *entry_points, ""]))
+
+
 def test_objects_of_installed_package(tmp_path):
     """Its law, scene, stepper and gauge have names. Unusable objects are left out, each with a line that says why."""
     (tmp_path / "mine.py").write_text(
@@ -137,19 +145,8 @@ def test_objects_of_installed_package(tmp_path):
         system = vj.System("my-system", states={"x": "m"}, parameters={"k": 1.0}, field=field, period=6.283185307179586)
         """)
     )
-    (tmp_path / "mine-1.0.dist-info").mkdir()
-    (tmp_path / "mine-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
-    (tmp_path / "mine-1.0.dist-info" / "entry_points.txt").write_text(
-        dedent("""
-        [vibrojax.objects]
-        a = mine:law
-        b = mine:taken
-        d = mine:Scene
-        f = mine:system
-        g = mine:stepper
-        my-gauge = mine:gauge
-        """)
-    )
+    names = {"a": "law", "b": "taken", "d": "Scene", "f": "system", "g": "stepper", "my-gauge": "gauge"}
+    install(tmp_path, "mine", "objects", [f"{name} = mine:{thing}" for name, thing in names.items()])
     code = """
         import warnings
         import vibrojax as vj
@@ -210,10 +207,8 @@ observe = 8.0
 def campbell(tmp_path_factory):
     """Return a folder with an installed package that registers a Campbell diagram, and the dataset of its command."""
     folder = tmp_path_factory.mktemp("outside")
-    (folder / "campbell-1.0.dist-info").mkdir()
-    (folder / "campbell-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: campbell\nVersion: 1.0\n")
-    entry_points = "campbell = campbell:Campbell\nbroken = campbell:SAMPLES\nfaulty = faulty:Campbell\n"
-    (folder / "campbell-1.0.dist-info" / "entry_points.txt").write_text(f"[vibrojax.analyses]\n{entry_points}")
+    entry_points = ["campbell = campbell:Campbell", "broken = campbell:SAMPLES", "faulty = faulty:Campbell"]
+    install(folder, "campbell", "analyses", entry_points)
     text = (OUTSIDE / "campbell.py").read_text()
     (folder / "campbell.py").write_text(text)
     faults = {'kind = "campbell"': 'kind = "faulty"', "np.hanning": "np.haning", ".4g": ".4q"}
