@@ -111,16 +111,14 @@ def fold_point(w):
 
 
 def test_wrong_arguments_are_refused():
-    for arguments, words in (
+    for given, words in (
         ({"by": "a"}, "is the parameter of the family"),
         ({"span": (2.0, 3.0)}, "which is not between 2 and 3"),
         ({"special": 99}, "a whole number from 0"),
         ({"at": {"damping": 0.1}}, "is not a or w with a value"),
     ):
         with pytest.raises(vj.InputError, match=words):
-            vj.curves(
-                family("fold", *fold_point(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | arguments
-            )
+            vj.curves(family("fold", *fold_point(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | given)
 
 
 def test_hopf_points_follow_linear_stability_of_sliding():

@@ -37,9 +37,7 @@ def files(many, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 class OpenPage:
     """An open page, with the messages of its console (`heard`) and its requests (`asked`)."""
 
-    def __init__(
-        self, browser, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light", **more: object
-    ):
+    def __init__(self, browser, path, fragment: str = "", width: int = 1280, scheme: str = "light", **more: object):
         viewport = {"width": width, "height": 900}
         url, options = path.as_uri() + fragment, {"viewport": viewport, "color_scheme": scheme} | more
         self.page, self.heard, self.asked = new_page(browser, url, **options)

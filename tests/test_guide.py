@@ -243,23 +243,19 @@ def heading_anchors(text: str) -> set[str]:
 @pytest.mark.parametrize("name", TEXTS)
 def test_links_of_texts_have_targets(name):
     text = (ROOT / name).read_text()
-    for link in re.findall(
-        r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`|^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
-    ):
-        if link.startswith(("http://", "https://", "mailto:")):
+    for to in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`|^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)):
+        if to.startswith(("http://", "https://", "mailto:")):
             continue
-        path, _, anchor = unquote(link).partition("#")
+        path, _, anchor = unquote(to).partition("#")
         target = (ROOT / name).parent / path if path else ROOT / name
-        assert target.exists(), link
-        assert not anchor or anchor in heading_anchors(target.read_text()), link
+        assert target.exists(), to
+        assert not anchor or anchor in heading_anchors(target.read_text()), to
 
 
 def test_every_public_name_is_in_reference():
     text = "".join(path.read_text() for path in SOURCES if path.parent.name == "api")
-    documented = {
-        name.rpartition(".")[2] for name in re.findall(r"^\.\. auto\w+:: ([\w.]+)$", text, flags=re.MULTILINE)
-    }
-    assert sorted(set(vj.__all__) - documented) == [], "write these onto a page of notebooks/api"
+    known = {name.rpartition(".")[2] for name in re.findall(r"^\.\. auto\w+:: ([\w.]+)$", text, flags=re.MULTILINE)}
+    assert sorted(set(vj.__all__) - known) == [], "write these onto a page of notebooks/api"
 
 
 def test_gallery_shows_every_script_with_its_picture():

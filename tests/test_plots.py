@@ -260,10 +260,8 @@ def test_many_starts_at_each_point_are_shares_and_dots():
         assert np.allclose(shown.values, 100.0 * (ds["regime"] == flag).mean("start").transpose("beta", "gamma"))
     along = drawn.basin(drawn.sample(50), {"gamma": drawn.LONG["gamma"]}, keep=4)
     diagram, strip = sheet_of(along).plots
-    expected = {
-        (x, y) for x, ys in zip(along["gamma"].values, along["impact_velocity"].values, strict=True) for y in ys
-    }
-    assert set(zip(diagram.layers[0].x, diagram.layers[0].y, strict=True)) == expected  # coincident dots are drawn once
+    dots = {(x, y) for x, ys in zip(along["gamma"].values, along["impact_velocity"].values, strict=True) for y in ys}
+    assert set(zip(diagram.layers[0].x, diagram.layers[0].y, strict=True)) == dots  # coincident dots are drawn once
     single = (along["regime"] == 3).sum("start").values
     assert np.array_equal((strip.layers[0].values == 3).sum(axis=0), single)
     assert (strip.layers[0].values[0] == np.where(single > 0, 3, 6)).all()  # stacked from the bottom
