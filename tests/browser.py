@@ -25,10 +25,8 @@ ARGUMENTS = [
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """Yield playwright's Chromium. Skip the test, with the reason, if there is none.
-
-    The environment variable VIBROJAX_BROWSER names another binary.
-    """
+    """Yield playwright's Chromium. Skip the test, with the reason, if there is none. The environment variable
+    VIBROJAX_BROWSER names another binary."""
     playwright = pytest.importorskip("playwright.sync_api", reason='playwright is missing: pip install ".[browser]"')
     binary = os.environ.get("VIBROJAX_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
     with playwright.sync_playwright() as tools:
@@ -45,9 +43,7 @@ def chromium() -> Iterator[Any]:
 
 def new_page(browser: Any, url: str = "", **options: Any) -> tuple[Any, list[tuple[str, str]], list[str]]:
     """Return a page in its own context with these options, its console messages (type, text), and the requested URLs.
-
-    With a URL, the page is open there, and ready. An error that the page does not catch has the type "error".
-    """
+    With a URL, the page is open there, and ready. An error that the page does not catch has the type "error"."""
     page = browser.new_context(**options).new_page()
     page.set_default_timeout(PATIENCE)
     messages: list[tuple[str, str]] = []
@@ -62,10 +58,8 @@ def new_page(browser: Any, url: str = "", **options: Any) -> tuple[Any, list[tup
 
 
 def wait_for(page: Any, expression: str) -> None:
-    """Wait until an expression is true in a page.
-
-    `page.wait_for_function` evaluates strings inside the page, which its content policy refuses.
-    """
+    """Wait until an expression is true in a page. `page.wait_for_function` evaluates strings inside the page, which its
+    content policy refuses."""
     end = time.monotonic() + PATIENCE / 1000
     while not page.evaluate(expression):
         assert time.monotonic() < end, expression

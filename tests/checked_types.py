@@ -22,13 +22,11 @@ ONE_THREAD = threading.Lock()
 
 
 def load_in_threads():
-    """Let two threads import modules of the package at once.
-
-    CPython before 3.11.9 and 3.12.3 counts the depth of all syntax trees that are built in one variable, so that a
-    second one raises a SystemError (python/cpython#106905). And jaxtyping's loader replaces a function of importlib
-    while it runs a module; a second thread would restore it too early, and exchange compiled files with and without
-    checks. Here, one thread at a time reads and compiles, and modules run without the lock.
-    """
+    """Let two threads import modules of the package at once. CPython before 3.11.9 and 3.12.3 counts the depth of all
+    syntax trees that are built in one variable, so that a second one raises a SystemError (python/cpython#106905). And
+    jaxtyping's loader replaces a function of importlib while it runs a module; a second thread would restore it too
+    early, and exchange compiled files with and without checks. Here, one thread at a time reads and compiles, and
+    modules run without the lock."""
 
     def get_code(loader, name):
         cache = functools.partial(_import_hook._optimized_cache_from_source, loader._typechecker.get_hash())
@@ -40,12 +38,9 @@ def load_in_threads():
 
 
 def checked(thing=None, *, typechecker=None):
-    """Return a function or dataclass that checks all its annotations in one pass at each call.
-
-    It replaces the decorator of jaxtyping's import hook. That decorator checks arguments twice to explain an error, and
-    rewrites the checks of nested functions at each call of the outer one. Nested functions and generators are not
-    checked.
-    """
+    """Return a function or dataclass that checks all its annotations in one pass at each call. It replaces the
+    decorator of jaxtyping's import hook. That decorator checks arguments twice to explain an error, and rewrites the
+    checks of nested functions at each call of the outer one. Nested functions and generators are not checked."""
     if thing is None:
         return checked
     if inspect.isclass(thing):

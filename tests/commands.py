@@ -11,7 +11,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 TEXT = """
-scene = "vibro-impact"
+scene = "rotary"
 [grid]
 beta = [0.3, 0.4, 0.5]
 gamma = [0.6, 0.7, 0.75, 0.8]

@@ -64,10 +64,8 @@ visit = identity._Walk.visit
 
 
 def visit_unchecked(walk, x):
-    """Identify a function that no module names, such as that of a property, without its checks of types.
-
-    Otherwise its kernels have no digest, and each process traces them. This takes longer than the rest of a test.
-    """
+    """Identify a function that no module names, such as that of a property, without its checks of types. Otherwise its
+    kernels have no digest, and each process traces them. This takes longer than the rest of a test."""
     has_checks = isinstance(x, FunctionType) and x.__code__.co_filename == checked.__code__.co_filename
     visit(walk, x.__wrapped__ if has_checks and identity._known_name(x) is None else x)
 
@@ -77,7 +75,7 @@ identity._Walk.visit = visit_unchecked
 
 LONGEST = re.compile(
     r"test_(plots|systems_events|explore_page|sensitivity|datasets_on_disk|systems|sealed_datasets|explore_served"
-    r"|design|orbits|follow_cli|follow_rigid|finished_results|workers|workers_slurm)\.py"
+    r"|design|orbits|follow|follow_rigid|finished_results|workers|workers_slurm)\.py"
 )
 """Slowest files. They start first, so that no process is left alone with one of them at the end."""
 
@@ -123,6 +121,13 @@ def few_mappings():
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 30_000:
         jax.clear_caches()
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Return an empty folder, in which the test runs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture(scope="module")

@@ -140,11 +140,9 @@ MACHINE = {"scene": "vibro-impact", "friction": "stribeck"}
 
 
 def one_family(low=0.4, high=1.0, family=0):
-    """Return a family that runs down from `high` to a fold at 0.5, then back up, unstable, to 0.8.
-
-    The part before the fold is stable up to a period doubling at 0.9 and unstable above it. A branch of two returns
-    runs from 0.9 to `high`.
-    """
+    """Return a family that runs down from `high` to a fold at 0.5, then back up, unstable, to 0.8. The part before the
+    fold is stable up to a period doubling at 0.9 and unstable above it. A branch of two returns runs from 0.9 to
+    `high`."""
     down = np.concatenate([np.linspace(high, 0.9, 5), np.linspace(0.9, 0.5, 9)[1:]])
     up = np.linspace(0.5, 0.8, 7)[1:]
     doubled = np.linspace(0.9, high, 6)
@@ -210,9 +208,7 @@ def carried(keep=True):
 
 def basin(states, grid=None, named=(), keep=0):
     """Return a sweep from state vectors and then from named starts, with single impacts where x2 > 0 and gamma < 0.8.
-
-    `states` holds the vectors by state name, each (vectors,). The velocity of single impacts grows with beta.
-    """
+    `states` holds the vectors by state name, each (vectors,). The velocity of single impacts grows with beta."""
     grid = {name: np.asarray(axis, float) for name, axis in (grid or {}).items()}
     count = len(next(iter(states.values())))
     rows = {name: np.concatenate([states.get(name, np.zeros(count)), np.full(len(named), np.nan)]) for name in UNITS}

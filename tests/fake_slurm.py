@@ -1,8 +1,7 @@
 """Replacements for sbatch, srun, sacct and scancel on a machine without SLURM, where jobs are local processes.
 
 `install(folder)` writes the four commands into a folder to put in front of PATH. `folder/jobs` holds a file per job
-with the number of its process. As in SLURM, a cancelled job and all its children receive SIGTERM.
-"""
+with the number of its process. As in SLURM, a cancelled job and all its children receive SIGTERM."""
 
 import os
 import re

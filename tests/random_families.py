@@ -2,8 +2,7 @@
 
 At some points, the state at the section must return after `cycles` periods of the forcing, with as many impacts, and
 the multipliers must be those of central differences of that integration. Between two points, stability may change only
-at a special point.
-"""
+at a special point."""
 
 import numpy as np
 from exact.described import Described

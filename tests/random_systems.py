@@ -5,8 +5,7 @@ integrations from starts that differ by 1e-8 show the growth of perturbations. A
 package must agree within `WITHIN`, relative to the largest value of a state if that is above 1. Samples next to a jump
 of a state are left out, because an error of the time of the jump is not an error of the state.
 
-A comparison returns its outcome (agree, refused, doubtful from the start, or WRONG) and a remark.
-"""
+A comparison returns its outcome (agree, refused, doubtful from the start, or WRONG) and a remark."""
 
 from typing import Any
 
@@ -60,8 +59,8 @@ def system_of(described: Described) -> vj.System:
         return vj.Switch(e.name, plain(e.function))
 
     rates = {name: function(expression) for name, expression in described.field.items()}
-    with_sides = lambda t, y, p, s: {name: f(t, y, p, s) for name, f in rates.items()}  # noqa: E731
-    without = lambda t, y, p: {name: f(t, y, p) for name, f in rates.items()}  # noqa: E731
+    with_sides = lambda t, y, p, s: {name: f(t, y, p, s) for name, f in rates.items()}
+    without = lambda t, y, p: {name: f(t, y, p) for name, f in rates.items()}
     period = (
         {"period": lambda p: 2 * np.pi / p["omega"]} if described.section is None else {"section": described.section}
     )
@@ -129,11 +128,9 @@ REPEATS = 1e-8
 
 
 def long_run(described: Described, p: dict[str, float], start: list[float], settle: float) -> dict[str, float] | str:
-    """Return the measures of a forced system's motion after a settling time [s], or the reason why there are none.
-
-    They are returns in a repeat, period [s], impacts in a repeat and their mean velocity. A motion that rests on a stop
-    has the first two only: the slowest bounces before are a matter of convention.
-    """
+    """Return the measures of a forced system's motion after a settling time [s], or the reason why there are none. They
+    are returns in a repeat, period [s], impacts in a repeat and their mean velocity. A motion that rests on a stop has
+    the first two only: the slowest bounces before are a matter of convention."""
     period = 2 * np.pi / p["omega"]
     first = int(np.ceil(settle / period))
     times = np.arange(first + 2 * MOST_CYCLES + 1) * period
@@ -155,11 +152,9 @@ def long_run(described: Described, p: dict[str, float], start: list[float], sett
 
 
 def compare_sweep(described: Described, points: list[dict[str, float]], start: list[float], settle: float) -> list[str]:
-    """Compare a sweep over points of a forced system with the reference's long runs; return what is wrong.
-
-    Certified lanes must have the reference's cycles and impacts, and period and impact velocity within
-    max(4 error_estimate, 1e-6). Where the reference is doubtful or not periodic, nothing is compared.
-    """
+    """Compare a sweep over points of a forced system with the reference's long runs; return what is wrong. Certified
+    lanes must have the reference's cycles and impacts, and period and impact velocity within max(4 error_estimate,
+    1e-6). Where the reference is doubtful or not periodic, nothing is compared."""
     run = {"settle": settle, "observe": 8 * np.pi * MOST_CYCLES / min(p["omega"] for p in points), "error": 1e-6}
     columns = {name: [p[name] for p in points] for name in described.ranges}
     sweep = {"scene": system_of(described), "points": columns, "starts": [start], "run": run}

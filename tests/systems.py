@@ -13,22 +13,24 @@ positive, table = vj.parameters.positive, vj.parameters.table
 cos = vj.elementary.cos
 
 
+def system(states, field, *events, name="own", parameters=None, **options):
+    """Return a system; states that are names only have no unit."""
+    states = states if isinstance(states, dict) else dict.fromkeys(states, "1")
+    return vj.System(name, states=states, parameters=parameters or {"q": 1.0}, field=field, events=events, **options)
+
+
 def mass(rate, *events, name="mass", parameters=None, **options):
     """Return a system of one mass; `rate` gives its acceleration, as a field does. The period is 1 s by default."""
-    fields = {
-        3: lambda t, y, p: {"x": y["v"], "v": rate(t, y, p)},
-        4: lambda t, y, p, s: {"x": y["v"], "v": rate(t, y, p, s)},
-    }
+    fields = {3: lambda t, y, p: {"x": y["v"], "v": rate(t, y, p)}}
+    fields[4] = lambda t, y, p, s: {"x": y["v"], "v": rate(t, y, p, s)}
     field, states = fields[len(signature(rate).parameters)], {"x": "m", "v": "m s-1"}
-    options = {"parameters": parameters or {"q": 1.0}, **(options or {"period": 1.0})}
-    return vj.System(name, states=states, field=field, events=events, **options)
+    return system(states, field, *events, name=name, parameters=parameters, **(options or {"period": 1.0}))
 
 
 def one_state(rate, *events, **options):
     """Return a system of one state x; `rate` gives its rate, as a field does."""
     fields = {3: lambda t, y, p: {"x": rate(t, y, p)}, 4: lambda t, y, p, s: {"x": rate(t, y, p, s)}}
-    field = fields[len(signature(rate).parameters)]
-    return vj.System("one-state", states={"x": "1"}, field=field, events=events, **options)
+    return system("x", fields[len(signature(rate).parameters)], *events, name="one-state", **options)
 
 
 def ends(system, start, duration, **options):
@@ -76,7 +78,7 @@ WALLS = mass(
 
 BALL = mass(
     lambda t, y, p: -p["g"],
-    vj.Impact("table", lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t), velocity="v", restitution=lambda p: p["r"]),
+    vj.Impact("table", lambda t, y, p: y["x"] + p["a"] * cos(p["w"] * t), "v", restitution=lambda p: p["r"]),
     name="ball",
     parameters={"g": 9.81, "a": 0.0, "w": 2 * np.pi, "r": 0.5},
     period=lambda p: 2 * np.pi / p["w"],
@@ -96,10 +98,8 @@ BELT = mass(
 
 def belt_period(v: float, rise: float, w: float = 1.0) -> float:
     """Return the period of stick-slip. `rise` is the change of the spring's length between static and kinetic friction.
-
     While the mass slips, it swings about the kinetic equilibrium, from `rise` above it to `rise` below it. While it
-    sticks, the belt carries it back.
-    """
+    sticks, the belt carries it back."""
     return 2 * (np.pi - np.arctan(rise * w / v)) / w + 2 * rise / v
 
 
@@ -138,24 +138,16 @@ BELT_OSCILLATOR = mass(
 
 
 def lorenz(section):
-    return vj.System(
-        "lorenz",
-        states={"x": "1", "y": "1", "w": "1"},
-        parameters={"r": 28.0},
-        field=lambda t, y, p: {
-            "x": 10.0 * (y["y"] - y["x"]),
-            "y": y["x"] * (1.0 - y["w"]) - y["y"],
-            "w": y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0),
-        },
-        section=section,
-    )
+    def field(t, y, p):
+        across = y["x"] * y["y"] - 8 / 3 * (y["w"] + p["r"] - 1.0)
+        return {"x": 10.0 * (y["y"] - y["x"]), "y": y["x"] * (1.0 - y["w"]) - y["y"], "w": across}
+
+    return system("xyw", field, name="lorenz", parameters={"r": 28.0}, section=section)
 
 
 class Rigid(NamedTuple):
-    """An orbit of one impact, with the force's `phase` [rad] and the mass's `speed` [m/s] there.
-
-    `multipliers` are sorted by falling modulus. `section` is the state (x, v) at the section.
-    """
+    """An orbit of one impact, with the force's `phase` [rad] and the mass's `speed` [m/s] there. `multipliers` are
+    sorted by falling modulus. `section` is the state (x, v) at the section."""
 
     phase: float
     speed: float
@@ -203,10 +195,7 @@ def oscillator_doubles(
     between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
 ) -> float:
     """Return the amplitude `a`, within `between`, at which the fastest orbit doubles: 1 + trace + determinant = 0."""
-
-    def product(a: float) -> float:
-        return float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
-
+    product = lambda a: float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
     return float(brentq(product, *between, xtol=1e-15))
 
 
@@ -221,12 +210,10 @@ def _flow(t: float, stiffness: float, damping: float) -> np.ndarray:
 
 
 def ball_appears(R: float) -> float:
-    """Return a/g at which the orbit of a ball that meets the table once per period appears, in a fold.
-
-    The ball flies for a period T, so that it leaves and meets the table at speed gT/2, where the table's velocity is
-    gT/2 (1 - R)/(1 + R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes,
-    *Nonlinear Oscillations*, 1983, section 2.4, here without the approximation of high bounces.
-    """
+    """Return a/g at which the orbit of a ball that meets the table once per period appears, in a fold. The ball flies
+    for a period T, so that it leaves and meets the table at speed gT/2, where the table's velocity is gT/2 (1 - R)/(1 +
+    R). The determinant is R², the trace 1 + R² - (1 + R)² (a/g) sin: Guckenheimer and Holmes, *Nonlinear Oscillations*,
+    1983, section 2.4, here without the approximation of high bounces."""
     return np.pi * (1 - R) / (1 + R)
 
 
@@ -248,12 +235,9 @@ Journal of Sound and Vibration 108 (1986), 305."""
 
 def friction_stops(w: float, zeta: float) -> float:
     """Return the friction, relative to the amplitude of the force, above which the mass of `SHAKEN` stops at its
-    turning points.
-
-    In the half cycle from x0 to -x0, the distance z from the forced oscillation satisfies z(T/2) = M z(0), and the
-    friction displaces the equilibrium. The amplitude follows from the half cycle. It is also the amplitude at which the
-    force just overcomes twice the friction where the mass turns.
-    """
+    turning points. In the half cycle from x0 to -x0, the distance z from the forced oscillation satisfies z(T/2) = M
+    z(0), and the friction displaces the equilibrium. The amplitude follows from the half cycle. It is also the
+    amplitude at which the force just overcomes twice the friction where the mass turns."""
     half = expm(np.array([[0.0, 1.0], [-1.0, -2 * zeta]]) * np.pi / w)
     g, h = np.linalg.solve(np.eye(2) + half, (np.eye(2) - half)[:, 0])
     amplitude = (1 + (1 - w**2) * g + 2 * zeta * h) / w**2  # relative to the friction

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from refusals import refusal
 from systems import WALLS, mass
 
 import vibrojax as vj
-from vibrojax.errors import InputError
 from vibrojax.studies import as_jax as branch
 
 OF = ("impact_power", "period")
@@ -34,9 +34,7 @@ def test_reason_is_none_exactly_where_function_is_valid(f):
     valid = [bool(f(x)["valid"]) for x in points]
     assert [f.reason(x) == "none" for x in points] == valid and 0 < sum(valid) < 6
     assert f.reason([np.nan, 0.75]) == "undefined: beta = nan, gamma = 0.75"
-    assert f.reason(BEYOND).startswith(
-        "beyond-branch: from beta = 0.4, gamma = 0.75, the orbit continues to beta = 0.4"
-    )
+    assert f.reason(BEYOND).startswith("beyond-branch: from beta = 0.4, gamma = 0.75, the orbit continues to beta =")
 
 
 def test_features_that_the_orbit_lacks_have_no_gradient():
@@ -68,13 +66,11 @@ def test_reason_without_orbit():
 
 
 def test_points_are_checked(f):
-    with pytest.raises(InputError, match="as_jax: the array has the type complex64; give real numbers"):
-        f(np.complex64(HERE))
-    with pytest.raises(InputError, match=r"as_jax: at: .* give a list of one number for each of beta, gamma"):
+    assert "as_jax: the array has the type complex64; give real numbers" in refusal(f, np.complex64(HERE))
+    with pytest.raises(vj.InputError, match=r"as_jax: at: .* give a list of one number for each of beta, gamma"):
         _function(at=[0.4])
-    with pytest.raises(InputError, match=r"as_jax: at\[0\]: is -1; it must be above 0"):
-        _function(at=[-1.0, 0.75])
-    with pytest.raises(InputError, match=r"as_jax: outside: .zero. is unknown; choose from nearest, nan"):
+    assert "as_jax: at[0]: is -1; it must be above 0" in refusal(_function, at=[-1.0, 0.75])
+    with pytest.raises(vj.InputError, match=r"as_jax: outside: .zero. is unknown; choose from nearest, nan"):
         _function(outside="zero")
     assert jax.vmap(f)(jnp.zeros((0, 2)))["period"].shape == (0,)
 
@@ -120,7 +116,7 @@ def test_arrays_on_a_mesh(f):
         for function in (batch, gradients):
             np.testing.assert_allclose(function(x), function(points), rtol=1e-13)
             np.testing.assert_allclose(jax.jit(function)(x), function(points), rtol=1e-13)
-    with pytest.raises(InputError, match=r"as_jax: .* explicit axes; call it inside of jax.set_mesh\(mesh\)"):
+    with pytest.raises(vj.InputError, match=r"as_jax: .* explicit axes; call it inside of jax.set_mesh\(mesh\)"):
         jax.jit(batch)(x)
 
 
@@ -133,16 +129,14 @@ NUMBERS = {
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_traced_numbers_are_refused_with_advice(name):
-    with pytest.raises(InputError, match=r"^[^\n]* is traced by jax [^\n]* or use vj.as_jax"):
+    with pytest.raises(vj.InputError, match=r"^[^\n]* is traced by jax [^\n]* or use vj.as_jax"):
         jax.jit(NUMBERS[name])(0.4)
 
 
 def test_branch_ends_at_pitchfork():
-    """A symmetric orbit between two walls meets its two twins at a pitchfork, where its own multiplier is 1.
-
-    Close to it they are less than 1 % apart: a twin that is followed beyond does not become the symmetric orbit, which
-    is stable there, nor does the symmetric orbit become a twin on the other side.
-    """
+    """A symmetric orbit between two walls meets its two twins at a pitchfork, where its own multiplier is 1. Close to
+    it they are less than 1 % apart: a twin that is followed beyond does not become the symmetric orbit, which is stable
+    there, nor does the symmetric orbit become a twin on the other side."""
     twin, symmetric = (vj.as_jax(WALLS, of="impact_velocity", by="d", start=[0.1, 0.3], at=[at]) for at in (0.32, 0.4))
     d = np.array([[0.32], [0.34], [0.345], [0.37]])
     for function in twin, symmetric:
@@ -180,7 +174,7 @@ def test_transformations_and_precisions(f):
         single = jax.value_and_grad(lambda x: f(x)["impact_power"])(jnp.array([0.4, 0.75]))
         assert single[1].dtype == jnp.float32
         np.testing.assert_allclose(single[1], alone[0][1], rtol=1e-4)
-    with pytest.raises(InputError, match=r"as_jax: second derivatives are not available; use finite differences"):
+    with pytest.raises(vj.InputError, match=r"as_jax: second derivatives are not available; use finite differences"):
         jax.hessian(lambda x: f(x)["period"])(HERE)
 
 

@@ -6,7 +6,6 @@ import xarray as xr
 from systems import BELT_OSCILLATOR, IMPACT_OSCILLATOR, WALLS
 
 import vibrojax as vj
-from vibrojax.errors import InputError
 from vibrojax.io.variables import NATURES
 from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT, SUBHARMONIC
 from vibrojax.studies.analysis import analysis_of
@@ -82,9 +81,6 @@ def test_numbers_continue_along_axes(attractors):
     # No attractor below the wide gap in the axis continues above it.
     below = set(np.flatnonzero((attractors.share.sel(gamma=GAMMA[:2]) > 0).any(("beta", "gamma"))))
     assert not below & set(next(iter(numbers.values())))
-
-
-def test_doubled_orbit_keeps_its_number(attractors):
     before, after = present(attractors, beta=0.4, gamma=0.35), present(attractors, beta=0.4, gamma=0.3625)
     assert (int(before.cycles[0]), int(after.cycles[0])) == (2, 4)
     assert before.regime.values[0] == after.regime.values[0] == SUBHARMONIC
@@ -100,11 +96,9 @@ def test_orbit_keeps_its_number_where_an_impact_passes_the_section():
 
 @pytest.mark.parametrize("d", [[0.33, 0.34003], [0.34003, 0.33]])
 def test_twins_next_to_a_pitchfork_have_numbers_of_their_own(d):
-    """The motion from rest ends on one twin at 0.33, and on the other one at 0.34003, where the two nearly meet.
-
-    The other two starts end on the same twin at both. Up to the pitchfork twins do not meet, so on the section the
-    order of their velocities does not change.
-    """
+    """The motion from rest ends on one twin at 0.33, and on the other one at 0.34003, where the two nearly meet. The
+    other two starts end on the same twin at both. Up to the pitchfork twins do not meet, so on the section the order of
+    their velocities does not change."""
     starts = [[0.0, 0.0], [0.1, 0.3], [-0.1, -0.3]]
     sweeps = [{"scene": WALLS, "starts": starts[:k], "grid": {"d": d}} for k in (1, 3)]
     alone, all_starts = (vj.attractors(sweep, progress=False).sortby("d") for sweep in sweeps)
@@ -156,17 +150,12 @@ def groups(dataset, starts=None):
     return [of_lane.get(lane, -1) for lane in range(dataset.sizes["start"])]
 
 
-def test_irregular_lanes_are_grouped_by_statistics():
-    """A chain of lanes, each within a quarter of the next, is one motion. Lanes without impacts are another one.
-
-    Few lanes near many are unassigned: they may be the tail of the larger group's scatter.
-    """
+def test_irregular_lanes_are_grouped():
+    """A chain of lanes, each within a quarter of the next, is one motion. Lanes without impacts are another one. Few
+    lanes near many are unassigned: they may be the tail of the larger group's scatter."""
     assert groups(irregular(impact_velocity=[1.0, 1.4, 1.2, 2.0, np.nan, 2.2, 2.1])) == [0, 0, 0, 1, 2, 1, 1]
     assert groups(irregular(impact_velocity=[1.0, 1.1, 1.2, 2.0, 5.0])) == [0, 0, 0, -1, 1]
-
-
-def test_irregular_lanes_are_grouped_by_lyapunov_exponents():
-    """Known exponents replace the statistics, which may include a transient."""
+    # Known exponents replace the statistics, which may include a transient.
     names = ["chaotic", "chaotic", "chaotic", "quasi-periodic", "not-settled", "chaotic"]
     lanes = {"nature": [NATURES.index(name) for name in names], "lyapunov": [1.0, 1.02, 2.0, 0.0, -0.1, 1.01]}
     lanes |= {"lyapunov_stderr": [0.01] * 6, "impact_velocity": [1.0, 3.0, 1.0, 1.0, 1.0, 9.0]}
@@ -179,12 +168,11 @@ def test_unsuitable_sweep_is_refused():
         ({"starts": ["drive"], "grid": {"gamma": [0.7, 0.75]}, "run": {"carry": "gamma"}}, "leave carry out"),
     ):
         tables = {name: x for name, x in (SWEEP | change).items() if x is not None}
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(vj.InputError, match=message):
             vj.attractors(tables, progress=False)
 
 
 # Irregular attractors: lanes are observed until their statistics converge, then grouped by them
-
 DRILL = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "v": 1.5}}
 
 
@@ -213,24 +201,19 @@ def test_bursting_motion_is_one_attractor(bursting):
 
 
 # Synthetic windows
-
-
 def windows_of(total, count=None, cycles=0.0):
     """Return windows of one statistic from its totals (windows, lanes) and counts."""
     count = np.ones_like(total) if count is None else count
     return np.stack([total, count, np.full_like(total, cycles), np.ones_like(total)], axis=1)
 
 
-def test_standard_errors_match_scatter_of_independent_windows():
+def test_standard_errors_of_windows():
     rng = np.random.default_rng(0)
     count = rng.integers(20, 60, (16, 4000)).astype(float)
     result = statistics(windows_of(0.2 * count * (1 + 0.1 * rng.standard_normal(count.shape)), count))
     scatter = np.std(result.values[0] / 0.2)
     assert np.sqrt(np.mean(result.errors[0] ** 2)) == pytest.approx(scatter, rel=0.05)
     assert result.converged.mean() > 0.99
-
-
-def test_drifting_or_rarely_switching_motion_does_not_converge():
     time = np.arange(128.0)[:, None]
     drifting, switching = 1 + time / 128, np.where(time < 64, 1.0, 2.0)
     result = statistics(windows_of(np.hstack([drifting, switching, np.ones_like(time)])))
@@ -262,7 +245,4 @@ def test_shares_match_published_values():
     error = np.sqrt(share * (1 - share) / starts + ours * (1 - ours) / BELT_STARTS["count"])
     deviation = (ours - share) / error
     assert np.abs(deviation).max() < 2 and abs(deviation.mean()) < 1
-
-
-def test_no_start_slides_on_slow_belt_and_all_slide_on_fast_belt():
     assert sliding([1.0, 1.9], 64).tolist() == [0, 1]

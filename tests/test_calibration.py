@@ -6,6 +6,7 @@ import pytest
 import xarray as xr
 from drawn import sheet_of
 from refusals import refusal
+from systems import system
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -85,10 +86,19 @@ def test_two_estimates_at_bounds_are_flagged(use_model):
     assert fit.reason.values.tolist() == [REASONS.index("at-bound")] * 2
 
 
-def test_observations_in_another_unit_are_refused(motion):
+def test_units_of_observations(motion):
     runs = _runs(motion)
     with pytest.raises(InputError, match=r'column period: values such as 229.* in ms, write "period \(ms\)"'):
         _calibrated(runs | {"period": 1e3 * runs["period"]})
+    # Columns of a dataset or of a table of arrays may be in any unit.
+    read = lambda data: read_calibration({**FIXED, "data": data, "unknown": UNKNOWN})
+    runs = _runs(motion)
+    table = {name: xr.DataArray(x, dims="row") for name, x in runs.items()}
+    table["period"] = (1e3 * table["period"]).assign_attrs(units="ms")
+    expected, *values = (read(data).problem.values for data in (runs, table, xr.Dataset(table)))
+    np.testing.assert_allclose(values, [expected] * 2, rtol=1e-15)
+    with pytest.raises(InputError, match=r"column period: is in mm, not a unit of period \[s\]$"):
+        read(table | {"period": table["period"].assign_attrs(units="mm")})
 
 
 def test_rotation_speed_and_radius_are_conditions(motion):
@@ -98,29 +108,13 @@ def test_rotation_speed_and_radius_are_conditions(motion):
     for columns, fixed in ((rpm, {"bit_radius": 0.1}), (rpm | {"bit_radius (mm)": np.full(len(SPEEDS), 100.0)}, {})):
         fit = _calibrated(columns | data, parameters=FIXED["parameters"] | fixed)
         assert fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-7)
-    with pytest.raises(vj.InputError, match=r"rpm: bit_radius \[m\] is missing; only both together give v"):
-        _calibrated(rpm | data)
+    assert "rpm: bit_radius [m] is missing; only both together give v" in refusal(_calibrated, rpm | data)
     in_metres = rpm | {"bit_radius": np.full(len(SPEEDS), 120.0)} | data
     with pytest.warns(vj.UnusualValue) as warned:
         read_calibration({**FIXED, "data": in_metres, "unknown": {"k1": [100.0, 300.0]}})
     lines = [str(each.message).partition(", are far outside")[0] for each in warned]
     assert "calibration: unknown.k1: 2 of 2 values, such as 100 N/m" in lines
     assert lines[-1].endswith("column bit_radius: 6 of 6 values, such as 120 m")
-
-
-def test_observations_are_converted_from_the_unit_that_they_state(motion):
-    """Columns of a dataset or of a table of arrays may be in any unit."""
-
-    def read(data):
-        return read_calibration({**FIXED, "data": data, "unknown": UNKNOWN})
-
-    runs = _runs(motion)
-    table = {name: xr.DataArray(x, dims="row") for name, x in runs.items()}
-    table["period"] = (1e3 * table["period"]).assign_attrs(units="ms")
-    expected, *values = (read(data).problem.values for data in (runs, table, xr.Dataset(table)))
-    np.testing.assert_allclose(values, [expected] * 2, rtol=1e-15)
-    with pytest.raises(InputError, match=r"column period: is in mm, not a unit of period \[s\]$"):
-        read(table | {"period": table["period"].assign_attrs(units="mm")})
 
 
 class PowerLaw(Model):
@@ -166,9 +160,7 @@ def test_rows_without_orbit_are_left_out_and_named_so(use_model):
     fit = _calibrated({"v": speeds, "period": observed})
     assert fit.used.values.tolist() == [1, 1, 1, 1, 0]
     assert fit.estimate.values == pytest.approx([*TRUE_VALUES.values()], rel=1e-7)
-    assert "4 of 5 observations used; the others have no stable orbit" in "\n".join(
-        analysis_of(fit).summary(fit)[0].lines
-    )
+    assert "4 of 5 observations used; the others have no" in "\n".join(analysis_of(fit).summary(fit)[0].lines)
     use_model(0.6)
     with pytest.raises(InputError, match="1 of 5 observations has an orbit of one kind inside the bounds: 1 value for"):
         _calibrated({"v": speeds, "period": observed})
@@ -243,22 +235,13 @@ def test_derivatives_along_a_history_agree_with_central_differences():
 
 
 def test_derivatives_along_a_history_resolve_changes_that_move_faster_than_the_motion():
-    """Two equal masses move side by side as cos t, and a change of one stiffness by dk makes them swing apart.
-
-    The acceleration of the difference is then -dk cos t - (1 + 2 kc) times the difference, and that of the mean is
-    -dk/2 cos t minus the mean.
-    """
+    """Two equal masses move side by side as cos t, and a change of one stiffness by dk makes them swing apart. The
+    acceleration of the difference is then -dk cos t - (1 + 2 kc) times the difference, and that of the mean is -dk/2
+    cos t minus the mean."""
     fast, times = np.sqrt(201.0), np.linspace(0.0, 3.0, 31)
-    pair = vj.System(
-        "pair",
-        states={"x1": "m", "v1": "m s-1", "x2": "m", "v2": "m s-1"},
-        parameters={"k": 1.0},
-        field=lambda t, y, p: {
-            **{"x1": y["v1"], "v1": -p["k"] * y["x1"] - 100 * (y["x1"] - y["x2"])},
-            **{"x2": y["v2"], "v2": -y["x2"] - 100 * (y["x2"] - y["x1"])},
-        },
-        section="x1",
-    )
+    pull = lambda y: 100 * (y["x1"] - y["x2"])
+    field = lambda t, y, p: {"x1": y["v1"], "v1": -p["k"] * y["x1"] - pull(y), "x2": y["v2"], "v2": pull(y) - y["x2"]}
+    pair = system(("x1", "v1", "x2", "v2"), field, parameters={"k": 1.0}, section="x1")
     point = read_point(Place("x"), pair, {}, [1.0, 0.0, 1.0, 0.0])
     with precision("float64"):
         _, slopes = History(point, 0.0, times, times, (), np.zeros(0), np.zeros(0)).predict(["k"], np.array([[1.0]]))
@@ -341,7 +324,7 @@ def test_bad_input_is_refused_in_one_line(change, line):
 
 def test_observed_impact_velocities_are_converted_to_the_unit_of_the_system():
     wall = vj.Impact("wall", gap=lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=0.7)
-    field = lambda t, y, p: {"x": y["v"], "v": p["a"] * vj.elementary.cos(t) - 0.1 * y["v"]}  # noqa: E731
+    field = lambda t, y, p: {"x": y["v"], "v": p["a"] * vj.elementary.cos(t) - 0.1 * y["v"]}
     about = {"states": {"x": "mm", "v": "mm s-1"}, "parameters": {"a": 1.0, "d": 1.0}, "period": 2 * np.pi}
     known = {"scene": vj.System("small", field=field, events=[wall], **about), "unknown": {"d": [0.5, 1.5]}}
     for name, value in (("impact_velocity (m/s)", 7e-4), ("impact_velocity (mm/s)", 0.7), ("impact_velocity", 0.7)):

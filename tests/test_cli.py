@@ -24,11 +24,10 @@ MAP = 'scene = "vibro-impact"\n[grid]\nbeta = [0.3, 0.4]\n[run]\nsettle = 1.0\no
 
 
 @pytest.fixture
-def here(monkeypatch, tmp_path):
+def here(here):
     """Go to a folder with a sweep file."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "map.toml").write_text(MAP)
-    return tmp_path
+    (here / "map.toml").write_text(MAP)
+    return here
 
 
 def test_help_imports_nothing_heavy():
@@ -59,11 +58,17 @@ def test_source_declares_what_the_class_has():
             assert source.get(attribute) == getattr(analysis, attribute, None), (kind, attribute)
 
 
-def test_python_m_matches_command(tmp_path):
+def test_processes_of_the_command(tmp_path):
     words = [sys.executable, "-m", "vibrojax", "sweep", "no.toml"]
     completed = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
     line = "vibrojax: no.toml: no such file; give the path of one that is there\n"
     assert (completed.returncode, completed.stdout, completed.stderr) == (2, "", line)
+    code = "import sys; from vibrojax.cli import main; sys.exit(main(['--version']))"
+    reader, writer = os.pipe()
+    os.close(reader)
+    completed = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    os.close(writer)
+    assert completed.stderr == "" and completed.returncode == 141
 
 
 def test_sweep_runs_and_draws(here, capsys):
@@ -94,15 +99,6 @@ def test_bad_input_is_refused_before_any_work(here, capsys, words):
     (here / "taken.png").mkdir()
     assert BAD[words] in command_refusal(capsys, *words.split())
     assert {path.name for path in here.iterdir()} == {"map.toml", "taken.png"}
-
-
-def test_closed_pipe_prints_no_error():
-    code = "import sys; from vibrojax.cli import main; sys.exit(main(['--version']))"
-    reader, writer = os.pipe()
-    os.close(reader)
-    completed = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True, cwd=ROOT)
-    os.close(writer)
-    assert completed.stderr == "" and completed.returncode == 141
 
 
 FLAGS = {"flag_values": np.arange(4, dtype=np.int8), "flag_meanings": "undecided equilibrium single-impact failed"}
@@ -205,23 +201,18 @@ def test_simulate_prints_facts_as_json(in_folder, capsys):
     assert motion["dimensions"]["time"]["last"] == 1.0 and motion["regimes"] == {}
 
 
-def test_info_prints_sweep_as_json(in_folder, capsys):
+def test_info_and_fit_print_json(in_folder, capsys):
     facts = printed(capsys, "info", "map.nc", "--json")
     assert facts["scene"] == "penetration" and facts["lanes"] == 12 and facts["file"] == "map.nc"
     assert facts["dimensions"]["force"] == {"size": 2, "units": "N", "first": 10e3, "last": 300e3}
     assert facts["run"]["settle"] == 0.2 and facts["solver"]["method"] == "located"
-    assert (
-        facts["accuracy"]["accepted"] == 1e-4 and facts["accuracy"]["estimated"] == 10
-    )  # two lanes have too few pulses
+    assert facts["accuracy"]["accepted"] == 1e-4 and facts["accuracy"]["estimated"] == 10  # two have too few pulses
     assert facts["failures"] == {} and facts["found"] == {} and facts["friction"] is None
     assert facts["variables"]["relief"] == {
         "dims": ["force", "frequency"],
         "units": "1",
         "long_name": "mean force divided by the threshold, P/D",
     }
-
-
-def test_fit_prints_groups_as_json(in_folder, capsys):
     facts = printed(capsys, "fit", "map.nc", "--json")
     weak, strong = facts["groups"]
     assert weak["coordinates"]["force"] == 10e3 and weak["forms"]["line"]["C"] is None  # nothing penetrates

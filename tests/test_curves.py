@@ -19,10 +19,8 @@ NATURAL = np.sqrt(1 - 0.05**2)  # natural frequency of the damped oscillator [ra
 
 
 def fold_amplitude(w):
-    """Return the amplitude at which the two orbits with one impact per forcing period meet.
-
-    The impact speeds V are the roots of c0 V² + c1 V + 1 - (a G)², where G is the gain without stop.
-    """
+    """Return the amplitude at which the two orbits with one impact per forcing period meet. The impact speeds V are the
+    roots of c0 V² + c1 V + 1 - (a G)², where G is the gain without stop."""
     gain = 1 / abs(complex(1 - w**2, 0.1 * w))
     speeds = [oscillator_orbits(a / gain, R, w, **FIXED)[-1].speed for a in (2.0, 3.0)]
     c0, c1 = np.linalg.solve([[v**2, v] for v in speeds], [3.0, 8.0])
@@ -113,16 +111,14 @@ def fold_point(w):
 
 
 def test_wrong_arguments_are_refused():
-    for arguments, words in (
+    for given, words in (
         ({"by": "a"}, "is the parameter of the family"),
         ({"span": (2.0, 3.0)}, "which is not between 2 and 3"),
         ({"special": 99}, "a whole number from 0"),
         ({"at": {"damping": 0.1}}, "is not a or w with a value"),
     ):
         with pytest.raises(vj.InputError, match=words):
-            vj.curves(
-                family("fold", *fold_point(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | arguments
-            )
+            vj.curves(family("fold", *fold_point(FOLDING)), **{"by": "w", "span": W_SPAN, "progress": False} | given)
 
 
 def test_hopf_points_follow_linear_stability_of_sliding():

@@ -145,9 +145,8 @@ def test_bad_and_infeasible_designs_are_refused_in_one_line(change, line):
     assert text.startswith("design: ") and line in text
 
 
-def test_command_writes_dataset_and_picture(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.toml").write_text(
+def test_command_writes_dataset_and_picture(here, capsys):
+    (here / "mine.toml").write_text(
         'scene = "vibro-impact"\nmaximise = "impact_power"\nstarts = ["stuck"]\nparameters = { delta = 0.005 }\n'
         'vary = { gamma = [0.7, 0.75] }\nsubject = { regime = "single-impact", peak_impact_force = { most = 1e6 } }\n'
         "run = { settle = 25, observe = 6 }\nrobust = true\ntolerance = { gamma = 1e-4 }\n"
@@ -156,4 +155,4 @@ def test_command_writes_dataset_and_picture(tmp_path, monkeypatch, capsys):
     facts = json.loads(capsys.readouterr().out)
     assert facts["design"]["at"]["gamma"] == pytest.approx(0.7)
     assert list(facts["design"]["subject"]) == ["peak_impact_force"]
-    assert (tmp_path / "mine-design.png").is_file() and main(["info", "mine-design.nc"]) == 0
+    assert (here / "mine-design.png").is_file() and main(["info", "mine-design.nc"]) == 0

@@ -10,7 +10,6 @@ import vibrojax as vj
 from vibrojax.lanes.settled import settled
 from vibrojax.maps.dataset import SECONDS
 from vibrojax.maps.executor import compute
-from vibrojax.maps.read import read_sweep
 from vibrojax.measures.repeats import Seen
 from vibrojax.measures.section import Passed, Settling
 from vibrojax.periodic import lane_stages
@@ -52,18 +51,12 @@ def test_early_end_matches_full_run():
     for name in VARIABLES:
         np.testing.assert_allclose(early[name][repeats], full[name][repeats], rtol=ERROR, atol=1e-12, err_msg=name)
     assert steps_taken(early) < 0.9 * steps_taken(full)
-
-
-def test_unsettled_lanes_are_unchanged():
-    """Lanes that end early do not change the other lanes, to the last bit."""
+    # Lanes that end early do not change the other lanes, to the last bit.
     early, full = early_and_full()
     irregular = (full["cycles"] == 0).values
     assert irregular.sum() > 5
     for name in full.data_vars:
         np.testing.assert_array_equal(early[name][irregular], full[name][irregular], err_msg=name)
-
-
-def test_no_lane_ends_early_if_single_returns_are_kept():
     early, full = early_and_full(("keep_returns", 4))
     assert steps_taken(early) == steps_taken(full)
     assert early.drop_attrs().equals(full.drop_attrs())
@@ -104,7 +97,6 @@ def test_settled(distances, close, ends):
 
 
 # Ends on stable orbits: labels are those of the full run, values those of the orbit
-
 MOST_LANES = 384
 WIDE = {"beta": (0.1, 1.2), "gamma": (0.3, 1.2), "v": (0.3, 3.0), "delta": (-0.006, 0.012)}
 """Wide box of the vibro-impact scene. In 4,096 lanes each of this box and of two boxes within, all 6,749 periodic lanes
@@ -167,7 +159,6 @@ def test_nearby_orbit_predicts_end_of_long_transient():
 
 
 # Orbits shared by the starts of a point
-
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 GRID = {"beta": [0.3, 0.4], "gamma": [0.35, 0.75]}
 """Single impacts, orbits of two returns, rattling and irregular motion. Over 35 points of beta 0.2 to 0.9 and gamma
@@ -197,7 +188,7 @@ def test_labels_and_values_with_shared_orbits_match_full_run():
 
 def test_result_does_not_depend_on_order_of_chunks():
     """A chunk shares orbits only within itself, so earlier chunks do not affect it."""
-    spec = read_sweep(sweep_of_starts(64, orbits=True, chunk=96))
+    spec = vj.read_sweep(sweep_of_starts(64, orbits=True, chunk=96))
     assert spec.chunks == 3
     first, again = (lane_run(spec.inputs(0, 1), spec.plan) for _ in range(2))
     forward = {index: dict(compute(spec, first, [index]))[index] for index in range(3)}

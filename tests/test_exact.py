@@ -54,10 +54,7 @@ def test_simulate(scene):
         np.testing.assert_allclose(event_times, exact_times, rtol=0, atol=1e-9, err_msg=kind)
 
 
-@pytest.mark.parametrize(
-    "law",
-    ["hyperbolic-quadratic", *(pytest.param(law, marks=pytest.mark.long) for law in LAWS)],
-)
+@pytest.mark.parametrize("law", ["hyperbolic-quadratic", *(pytest.param(law, marks=pytest.mark.long) for law in LAWS)])
 def test_simulate_friction_laws(law):
     motion, dataset = run_both("vibro-impact", beta=0.4, gamma=0.6, v=0.8, start="stuck", friction=law)
     errors = differences(motion, dataset)
@@ -79,12 +76,7 @@ def test_contact_closes_again_when_rock_yields():
 def test_sweep_of_coupled_drilling():
     """A settled drilling lane has the counts of the reference, and its measures to 1e-7."""
     run_for = {"settle": 10.0, "observe": 6.0}
-    sweep = {
-        "scene": "coupled-drilling",
-        "starts": ["drive"],
-        "grid": {"zeta": [0.5]},
-        "parameters": {"gamma": 0.6},
-    }
+    sweep = {"scene": "coupled-drilling", "starts": ["drive"], "grid": {"zeta": [0.5]}, "parameters": {"gamma": 0.6}}
     lane = vj.run_sweep(sweep | {"run": run_for}, progress=False).squeeze()
     motion = run("coupled-drilling", gamma=0.6, zeta=0.5, **run_for)
     expected = measure(motion)
@@ -149,9 +141,7 @@ def test_every_measure(features, name):
 
 def test_unequal_returns():
     """Means cover whole repeats, and the phase is that of the mean period, wherever in a repeat the observation ends.
-
-    Each impact counts by its own return, whose duration differs from the mean.
-    """
+    Each impact counts by its own return, whose duration differs from the mean."""
     sweep = {"scene": "vibro-impact", "points": {key: [value] for key, value in UNEQUAL.items()}, "starts": ["drive"]}
     lane = vj.run_sweep(sweep | {"run": {"observe": 7.0, "error": ERROR}}, progress=False).squeeze()
     motion = exact.run("vibro-impact", **UNEQUAL, start="drive", settle=40.0, observe=7.0)

@@ -1,7 +1,6 @@
 """Tests of docstring examples: every public name has one, and every example prints the output below it.
 
-They run in a process of their own, without the strict settings of the test run: `python tests/test_examples.py NAME`
-"""
+They run in a process of their own, without the strict settings of the test run: `python tests/test_examples.py NAME`"""
 
 import ast
 import doctest

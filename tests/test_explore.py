@@ -22,7 +22,6 @@ import vibrojax as vj
 from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, write, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, StateColumn
 from vibrojax.explorer.plots_view import figure_document
-from vibrojax.maps.read import read_sweep
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 from vibrojax.pictures.motion import states_over_time
@@ -85,7 +84,7 @@ def test_cells_survive_encoding(seed: int, sizes: list[int]):
 
 
 def test_cells_are_closed_orbits_of_their_lanes(plane, cells):
-    sweep = read_sweep(PLANE)
+    sweep = vj.read_sweep(PLANE)
     assert [cell.lane for cell in cells] == list(range(sweep.lanes))
     features = {name: plane[name].transpose(*sweep.dims).values.ravel() for name in ("period", "cycles", "impacts")}
     orbits = [cell for cell in cells if cell.kind == "orbit"]
@@ -101,7 +100,7 @@ def test_cells_are_closed_orbits_of_their_lanes(plane, cells):
 def test_states_before_and_after_an_impact_are_at_its_own_time():
     """A ball that loses half of its velocity at each impact, as a lane of a sweep and as a sampled trajectory."""
     lane = {"scene": BALL, "starts": [[1.0, 0.0]], "grid": {"r": [0.5]}, "run": {"settle": 0.3, "observe": 0.2}}
-    swept = next(iter(contents_of(vj.run_sweep(lane, progress=False), own=read_sweep(lane), progress=False).cells))
+    swept = next(iter(contents_of(vj.run_sweep(lane, progress=False), own=vj.read_sweep(lane), progress=False).cells))
     motion = vj.simulate(BALL, start=[1.0, 0.0], duration=2.0, sampling=0.011, progress=False)
     for cell in (swept, cell_of(motion)):
         before = np.flatnonzero(cell.flags & 7 == EVENTS.index("impact"))[:3]
@@ -116,7 +115,7 @@ def test_states_before_and_after_an_impact_are_at_its_own_time():
     assert document["common"].count("r = 0.5") == 1 and "bit" not in document["meanings"]["equilibrium"]
 
 
-def test_document_holds_numbers_of_dataset(plane):
+def test_document_holds_numbers_and_colours(plane):
     document = contents_of(plane).document
     assert document["view"] == ["gamma", "beta"]
     for variable in document["variables"]:
@@ -129,10 +128,6 @@ def test_document_holds_numbers_of_dataset(plane):
     lanes = unpack(document["lanes"])
     assert sorted(lanes.ravel().tolist()) == list(range(8))
     json.dumps(document, allow_nan=False)
-
-
-def test_colours_match_picture(plane):
-
     document = contents_of(plane).document
     variables = {entry["name"]: entry for entry in document["variables"]}
     assert variables["regime"]["colours"]["3"] == REGIME_COLOURS[3]

@@ -14,12 +14,10 @@ from cell_blocks import decode
 
 import vibrojax as vj
 from vibrojax.compile.native import kernels
-from vibrojax.errors import InputError
 from vibrojax.explorer import encoding
 from vibrojax.explorer.document import run_document
 from vibrojax.explorer.live import Live
 from vibrojax.explorer.motions import LiveMotions, motions_of
-from vibrojax.maps.read import read_sweep
 
 HTML = "<!doctype html><title>page</title><script type=module>export const a = 1;</script>"
 
@@ -35,7 +33,7 @@ class SlowAnswers:
 
     def answer(self, message, check):
         if message.get("parameters") == "wrong":
-            raise InputError("explore: beta: is -1; it must be above 0\nsecond line")
+            raise vj.InputError("explore: beta: is -1; it must be above 0\nsecond line")
         if message.get("parameters") == "broken":
             raise ZeroDivisionError("secret of the inside")
         end = time.monotonic() + self.seconds
@@ -150,12 +148,16 @@ def test_wrong_requests_are_refused(live, what, status):
             assert refusal(live, "GET", **{"path": ""} | named, **headers)[0] == status, given
 
 
-def test_wrong_methods_are_refused(live):
+def test_wrong_methods_and_malformed_requests_are_refused(live):
     for method in ("PUT", "TRACE", "FOO"):
         status, headers, _ = request(live, method, "motion")
         assert status == 405 and headers["Allow"] == "GET, HEAD, POST"
     assert refusal(live, "GET", "motion")[0] == 405
     assert refusal(live, "OPTIONS", body=None, Origin="http://evil.example")[0] in (403, 405)
+    for content, status in RAW:
+        answer = send_raw(live, content.format(port=live.port, token=live.token).encode("latin-1"))
+        assert b"200 OK" not in answer
+        assert status is None or answer.startswith(f"HTTP/1.1 {status}".encode()), content
 
 
 OWN = "Host: 127.0.0.1:{port}\r\nContent-Type: application/json\r\n"
@@ -173,13 +175,6 @@ RAW = [
     (POST + "Content-Length: 9\r\n\r\n{{}}", 400),
     *((begin + "\r\n\r\n", None) for begin in ("\x16\x03\x01\x02\x00\x01", "GET", "GET / HTTP/9.9")),
 ]
-
-
-def test_malformed_requests_are_refused(live):
-    for content, status in RAW:
-        answer = send_raw(live, content.format(port=live.port, token=live.token).encode("latin-1"))
-        assert b"200 OK" not in answer
-        assert status is None or answer.startswith(f"HTTP/1.1 {status}".encode()), content
 
 
 def test_wrong_values_give_one_line_and_faults_stay_hidden(live):
@@ -274,16 +269,13 @@ def test_cell_lies_on_trajectory(motions):
 
 @pytest.mark.parametrize(
     ("fixed", "grid"),
-    [
-        ({"bit_frequency": 4.5}, {"m1": [200.0, 300.0]}),
-        ({"threshold": 15e3}, {"bit_radius": [0.04, 0.05]}),
-    ],
+    [({"bit_frequency": 4.5}, {"m1": [200.0, 300.0]}), ({"threshold": 15e3}, {"bit_radius": [0.04, 0.05]})],
 )
 def test_sliders_stand_at_machine_of_lane(fixed, grid):
     """Coordinates that replace parameters, and the radius of the hole, count beside a lane and in its command."""
     scene = "drilling" if "threshold" in fixed else "vibro-impact"
     table = {"scene": scene, "parameters": fixed, "grid": grid, "starts": ["drive"], "run": {"settle": 20.0}}
-    sweep = read_sweep(table | {"unusual": True})
+    sweep = vj.read_sweep(table | {"unusual": True})
     data = vj.run_sweep(sweep, progress=False)
     point = decode_single(motions_of(sweep).answer({"lane": 1}, no_newer_request)).point
     beside = motions_of(sweep).answer({"parameters": point["parameters"], "start": point["start"]}, no_newer_request)
@@ -347,5 +339,5 @@ def test_box_is_the_sweep_of_its_cells(motions):
     for name in ("regime", "period", "impact_velocity"):
         assert answer["variables"][name] == encoding.pack(expected[name].isel(start=0).values), name
     for wrong in ([1], {"beta": [0.3, 0.4]}, {**box, "gamma": [0.78, 0.66]}, {**box, "beta": ["a", 1]}):
-        with pytest.raises(InputError, match="explore: box"):
+        with pytest.raises(vj.InputError, match="explore: box"):
             motions.answer({"box": wrong, "lane": 1}, no_newer_request)

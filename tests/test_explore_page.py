@@ -37,9 +37,7 @@ def files(many, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 class OpenPage:
     """An open page, with the messages of its console (`heard`) and its requests (`asked`)."""
 
-    def __init__(
-        self, browser, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light", **more: object
-    ):
+    def __init__(self, browser, path, fragment: str = "", width: int = 1280, scheme: str = "light", **more: object):
         viewport = {"width": width, "height": 900}
         url, options = path.as_uri() + fragment, {"viewport": viewport, "color_scheme": scheme} | more
         self.page, self.heard, self.asked = new_page(browser, url, **options)
@@ -201,10 +199,8 @@ SMALL_TARGETS = """() => [...document.querySelectorAll(".vibrojax :is(button, se
 
 
 def test_phone_with_touch(browser, files):
-    """The sheet leaves the map free, fingers reach every control, a tap reads values, and a zoom moves no plot.
-
-    Where a pixel of the page is 1.5 of the screen, no colours but those of the regimes are between the cells.
-    """
+    """The sheet leaves the map free, fingers reach every control, a tap reads values, and a zoom moves no plot. Where a
+    pixel of the page is 1.5 of the screen, no colours but those of the regimes are between the cells."""
     phone: dict[str, Any] = {"width": 390, "is_mobile": True, "has_touch": True, "device_scale_factor": 1.5}
     with OpenPage(browser, files["few"], "#region=off", **phone) as opened:
         page, map_canvas = opened.page, opened.page.locator(".vx-over")

@@ -1,29 +1,28 @@
-"""Tests of finished results: interrupted sweeps continue, and other results, of other code too, need `--fresh`."""
+"""Tests of results that survive: interrupted sweeps continue, damaged or foreign chunks are never accepted, and other
+results, of other code too, need `--fresh`."""
 
 import json
 import os
 import subprocess
 import sys
+import zipfile
+from io import BytesIO
 from pathlib import Path
 from textwrap import dedent
 
 import numpy as np
 import pytest
+from refusals import refusal
+from systems import mass
 
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.io.files import source
-from vibrojax.io.identity import check_replaceable
-from vibrojax.maps.read import read_sweep
+from vibrojax.io.identity import canonical, check_replaceable, digest
+from vibrojax.maps.store import FORMAT, open_store
 from vibrojax.settings.code_identity import code_identity
 
 SWEEP = 'scene = "rotary"\ntitle = "{title}"\n[grid]\ngamma = [{gamma}]\n[run]\nsettle = 0.5\nobserve = 0.5\n'
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def sweep_status(folder, gamma, *argv, title="a"):
@@ -31,61 +30,59 @@ def sweep_status(folder, gamma, *argv, title="a"):
     return main(["sweep", "map.toml", "--quiet", *argv])
 
 
-def test_other_result_is_replaced_only_with_fresh(folder, capsys):
-    assert sweep_status(folder, 0.6) == 0
-    content = (folder / "map.nc").read_bytes()
-    assert sweep_status(folder, 0.7) == 2
+def test_other_result_is_replaced_only_with_fresh(here, capsys):
+    assert sweep_status(here, 0.6) == 0
+    content = (here / "map.nc").read_bytes()
+    assert sweep_status(here, 0.7) == 2
     assert capsys.readouterr().err == (
         "vibrojax: map.nc: holds another result: grid.gamma was [0.6], is [0.7]; "
         "--fresh replaces it, or give another output with -o\n"
     )
-    assert (folder / "map.nc").read_bytes() == content and not (folder / "map.nc.chunks").exists()
-    assert sweep_status(folder, 0.7, "--fresh") == 0
-    np.testing.assert_array_equal(vj.open_dataset(folder / "map.nc").gamma, [0.7])
-    assert sweep_status(folder, 0.7, title="said otherwise") == 0
+    assert (here / "map.nc").read_bytes() == content and not (here / "map.nc.chunks").exists()
+    assert sweep_status(here, 0.7, "--fresh") == 0
+    np.testing.assert_array_equal(vj.open_dataset(here / "map.nc").gamma, [0.7])
+    assert sweep_status(here, 0.7, title="said otherwise") == 0
 
 
-def test_finished_sweep_is_not_recomputed(folder, capsys):
-    (folder / "map.toml").write_text(SWEEP.format(gamma=0.6, title="a"))
+def test_finished_sweep_is_not_recomputed(here, capsys):
+    (here / "map.toml").write_text(SWEEP.format(gamma=0.6, title="a"))
     argv = ["sweep", "map.toml", "-o", "map.nc"]
     assert main(argv) == 0
-    written_at, lines = (folder / "map.nc").stat().st_mtime_ns, capsys.readouterr().out.splitlines()
-    (folder / "map.png").unlink()
-    assert main(argv) == 0 and (folder / "map.png").exists()
+    written_at, lines = (here / "map.nc").stat().st_mtime_ns, capsys.readouterr().out.splitlines()
+    (here / "map.png").unlink()
+    assert main(argv) == 0 and (here / "map.png").exists()
     line = f"map.nc: is there already ({source()}); it is not computed again without --fresh; picture map.png"
     assert capsys.readouterr() == ("\n".join([line, *lines[1:], ""]), "")
-    assert (folder / "map.nc").stat().st_mtime_ns == written_at
+    assert (here / "map.nc").stat().st_mtime_ns == written_at
     assert main([*argv, "--fresh"]) == 0 and "is there already" not in capsys.readouterr().out
-    assert (folder / "map.nc").stat().st_mtime_ns > written_at
+    assert (here / "map.nc").stat().st_mtime_ns > written_at
 
 
 POINT = ["simulate", "rotary", "duration=0.2"]
 
 
-def test_single_motions_are_numbered(folder, capsys):
+def test_single_motions_are_numbered(here, capsys):
     """A motion takes the next free number, or the number of an equal result, and replaces no other file."""
-    (folder / "rotary-2.nc").write_bytes(b"no netCDF at all")
-    (folder / "rotary-x.nc").mkdir()
+    (here / "rotary-2.nc").write_bytes(b"no netCDF at all")
+    (here / "rotary-x.nc").mkdir()
     for gamma, name in ((0.6, "rotary"), (0.7, "rotary-3")):
         assert main([*POINT, f"gamma={gamma}"]) == 0
         assert capsys.readouterr().out.splitlines()[-1] == f"{name}.nc; picture {name}.png"
-        assert vj.open_dataset(folder / f"{name}.nc").attrs["parameters"].count(f'"gamma": {gamma}') == 1
-    (folder / "rotary.nc").unlink()
+        assert vj.open_dataset(here / f"{name}.nc").attrs["parameters"].count(f'"gamma": {gamma}') == 1
+    (here / "rotary.nc").unlink()
     assert main([*POINT, "gamma=0.7"]) == 0
     assert "rotary-3.nc: is there already" in capsys.readouterr().out
 
 
-def test_dataset_of_an_earlier_version_is_not_replaced(folder):
-    path = folder / "map.nc"
+def test_dataset_of_an_earlier_version_is_not_replaced(here):
+    path = here / "map.nc"
     vj.write_dataset(vj.open_dataset(Path(__file__).parent / "data" / "versions" / "0.1.0" / "rates.nc"), path)
-    identity = read_sweep({"scene": "rotary", "grid": {"gamma": [0.7]}}).identity()
-    with pytest.raises(vj.InputError, match="it holds this result; --fresh"):
-        check_replaceable(path, identity)
-    check_replaceable(folder / "other.nc", identity)
+    identity = vj.read_sweep({"scene": "rotary", "grid": {"gamma": [0.7]}}).identity()
+    assert "it holds this result; --fresh" in refusal(check_replaceable, path, identity)
+    check_replaceable(here / "other.nc", identity)
 
 
 # The identity of a result includes the code of a user's own scene or law.
-
 OWN = {
     "aid.py": "def share(u):\n    return 0.9 + 0.1 / (1.0 + u)\n",
     "own.py": """
@@ -164,7 +161,6 @@ def test_identity_follows_code_of_own_scenes_and_laws(tmp_path, monkeypatch, cap
 
 
 # The code of a system, to the last constant of every function
-
 PARTS = ("field", "period", "rate", "gap", "reset", "restitution", "force", "law", "mass", "surface")
 
 
@@ -177,7 +173,7 @@ def system(changed=None, c=1.1):
     belt = vj.Friction(
         "belt", lambda t, y, p: y["w"] - surface, lambda t, y, p: force, law=falling, acts_on="w", mass=lambda p: mass
     )
-    bounce = lambda p: 0.8 * restitution  # noqa: E731
+    bounce = lambda p: 0.8 * restitution
     stop = vj.Impact("stop", lambda t, y, p: gap - y["x"], velocity="v", restitution=bounce)
     kick = vj.Impact("kick", lambda t, y, p: 9.0 - y["y"], reset=lambda t, y, p: {"w": -0.5 * reset * y["w"]})
     return vj.System(
@@ -197,28 +193,130 @@ def test_identity_has_every_constant(part):
 
 
 def oscillator(stiffness):
-    return vj.System(
-        "oscillator",
-        states={"x": "m", "v": "m s-1"},
-        parameters={"w": 0.9},
-        field=lambda t, y, p: {"x": y["v"], "v": vj.elementary.cos(p["w"] * t) - 0.1 * y["v"] - stiffness * y["x"]},
-        period=lambda p: 2 * np.pi / p["w"],
-    )
+    rate = lambda t, y, p: vj.elementary.cos(p["w"] * t) - 0.1 * y["v"] - stiffness * y["x"]
+    return mass(rate, parameters={"w": 0.9}, period=lambda p: 2 * np.pi / p["w"])
 
 
 def test_dataset_of_an_earlier_definition_is_not_run_with_a_later_one():
     first = vj.run_sweep({"scene": oscillator(1.0), "grid": {"w": [0.9]}}, progress=False)
     vj.run_sweep({"scene": oscillator(2.0), "grid": {"w": [0.9]}}, progress=False)
-    with pytest.raises(vj.InputError, match=r"code\.scene has changed since; give the sweep itself"):
-        vj.orbits(first, progress=False)
+    assert "code.scene has changed since; give the sweep itself" in refusal(vj.orbits, first, progress=False)
 
 
 def test_changed_variable_is_refused():
     """Compiled code keeps the value that the variable had."""
     stiffness = 1.0
-    decay = lambda t, y, p: {"x": -stiffness * y["x"]}  # noqa: E731
+    decay = lambda t, y, p: {"x": -stiffness * y["x"]}
     own = vj.System("variable", states={"x": "m"}, parameters={"a": 1.0}, field=decay, period=lambda p: 1.0)
     vj.simulate(own, duration=1.0, progress=False)
     stiffness = 2.0
     with pytest.raises(vj.InputError, match="a value that its functions use has changed since its first run"):
         vj.simulate(own, duration=1.0, progress=False)
+
+
+MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
+OWNER = digest(json.loads(canonical(MANIFEST | {"store": FORMAT})))
+
+
+def arrays(index: int) -> dict[str, np.ndarray]:
+    regime = np.full(4, index, np.int8)
+    return {"period": np.array([0.1, np.nan, index, 3.0]), "regime": regime, "kept": np.arange(8.0).reshape(4, 2)}
+
+
+@pytest.fixture
+def store(tmp_path):
+    """Return a closed folder in which chunks 0 and 2 are finished."""
+    with open_store(tmp_path / "out.nc.chunks", MANIFEST, resume=True) as opened:
+        opened.write(2, arrays(2))
+        opened.write(0, arrays(0))
+    return opened
+
+
+def reopen(store, resume=True, **changes):
+    return open_store(store.folder, MANIFEST | changes, resume)
+
+
+def chunk_path(store, index):
+    return store.folder / f"chunk-{index:08d}.zip"
+
+
+def test_no_flipped_bit_changes_a_value(store):
+    """A few bits of an archive mean nothing, such as those of its date."""
+    path, detected = chunk_path(store, 2), 0
+    content = path.read_bytes()
+    for place in range(len(content)):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+        chunk = store.read(2)
+        detected += chunk is None
+        for name, x in (chunk or {}).items():
+            np.testing.assert_array_equal(x, arrays(2)[name], strict=True)
+        path.write_bytes(content)
+    assert detected > 0.6 * len(content)
+
+
+def test_chunk_in_place_of_another_is_detected(store):
+    os.replace(chunk_path(store, 2), chunk_path(store, 1))
+    with reopen(store) as opened:
+        assert opened.finished() == {0}
+
+
+def archive(name: str, content: bytes, compression=zipfile.ZIP_STORED) -> bytes:
+    """Return a file of the sweep's chunk 1 with one member."""
+    file = BytesIO()
+    with zipfile.ZipFile(file, "w", compression) as members:
+        members.comment = f"{OWNER} 1".encode()
+        members.writestr(name, content)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"no archive",
+        archive('["x", "<f8"]', bytes(8)),
+        archive('["x", "<f8", []]', bytes(16)),
+        archive('["x", "<f8", [99999999, 99999999]]', bytes(8)),
+        archive('["x", "|O8", []]', bytes(8)),
+        archive('["x", "<f8", [4]]', bytes(32), zipfile.ZIP_DEFLATED),
+    ],
+    ids=["no-archive", "no-shape", "too-long", "too-short", "objects", "compressed"],  # archives contain the time
+)
+def test_files_from_anywhere_are_refused(store, content):
+    """No pickle is loaded, nothing unpacks to more than its size, and no array exceeds its file."""
+    with reopen(store) as opened:
+        chunk_path(opened, 1).write_bytes(content)
+        assert opened.finished() == {0, 2}
+
+
+def test_changed_manifest_is_refused(store):
+    with pytest.raises(vj.InputError) as caught, reopen(store, chunk=8):
+        pass
+    line = str(caught.value)
+    assert "chunk was 4, is 8" in line and "--fresh" in line and "\n" not in line and "scene" not in line
+    with reopen(store) as opened:  # nothing was lost, and the lock is free
+        assert opened.finished() == {0, 2}
+    with reopen(store, resume=False, chunk=8) as opened:
+        assert opened.finished() == set()
+    with reopen(store, chunk=8) as opened:
+        assert opened.finished() == set()
+
+
+def test_chunks_are_checked_individually_without_valid_manifest(store):
+    (store.folder / "manifest.json").write_bytes(b"{")
+    with reopen(store) as opened:
+        assert opened.finished() == {0, 2}
+    (store.folder / "manifest.json").write_bytes(b"{")
+    with reopen(store, chunk=8) as opened:
+        assert opened.finished() == set()
+
+
+def test_partial_files_of_killed_processes_are_removed_and_foreign_ones_kept(store):
+    half = store.folder / "chunk-00000001.zip.tmp"
+    half.write_bytes(b"half")
+    with reopen(store) as opened:
+        assert not half.exists() and opened.finished() == {0, 2}
+    note = store.folder / "note.txt"
+    note.write_text("mine")
+    with reopen(store, resume=False) as opened:
+        opened.remove()
+    assert [path.name for path in store.folder.iterdir()] == ["note.txt"]

@@ -4,37 +4,24 @@ from functools import partial
 
 import numpy as np
 import pytest
+import systems
 from scipy.linalg import expm
 from scipy.optimize import brentq, fsolve
-from systems import (
-    BALL,
-    IMPACT_OSCILLATOR,
-    WALLS,
-    ball_appears,
-    ball_doubles,
-    cos,
-    mass,
-    oscillator_doubles,
-    oscillator_grazes,
-    oscillator_orbits,
-    special_values,
-)
+from systems import BALL, IMPACT_OSCILLATOR, WALLS, cos, mass, oscillator_orbits, special_values, system
 
 import vibrojax as vj
 
 OSCILLATOR = {"w": 0.9, "stiffness": 1.0, "damping": 0.1, "stop": 1.0}
 R = 0.7
-GRAZE = oscillator_grazes(**OSCILLATOR)
+GRAZE = systems.oscillator_grazes(**OSCILLATOR)
 
 
 def test_branch_continues_past_graze_where_impact_vanishes():
-    """Downwards, orbits with one impact per period double and end at the closed forms.
-
-    The doubled branch loses its slow impact where the motion after the other impact, in closed form, touches the stop.
-    From there, orbits with one impact in two periods lead down to the graze of the motion without impacts.
-    """
+    """Downwards, orbits with one impact per period double and end at the closed forms. The doubled branch loses its
+    slow impact where the motion after the other impact, in closed form, touches the stop. From there, orbits with one
+    impact in two periods lead down to the graze of the motion without impacts."""
     family = vj.follow(IMPACT_OSCILLATOR, along="a", at=0.61, span=(0.2, 0.65), cycles=2, progress=False)
-    doubles = oscillator_doubles((1.5 * GRAZE, 3 * GRAZE), R, **OSCILLATOR)
+    doubles = systems.oscillator_doubles((1.5 * GRAZE, 3 * GRAZE), R, **OSCILLATOR)
     assert special_values(family, "period-doubling") == pytest.approx([doubles], rel=1e-8)
     [graze] = special_values(family, "grazing")
     assert abs(graze - GRAZE) < 1e-8
@@ -79,16 +66,12 @@ def test_family_continues_where_impact_passes_section():
 
 @pytest.mark.long
 def test_rotations_of_a_pendulum_whose_angle_jumps_back():
-    """The angle returns to -pi at pi. Rotations at the torque 1.5 lose their period at a homoclinic orbit.
-
-    Distances shrink by exp(-c t) (Liouville), all of them across the flow.
-    """
+    """The angle returns to -pi at pi. Rotations at the torque 1.5 lose their period at a homoclinic orbit. Distances
+    shrink by exp(-c t) (Liouville), all of them across the flow."""
     turn = vj.Impact("turn", lambda t, y, p: np.pi - y["phi"], reset=lambda t, y, p: {"phi": y["phi"] - 2 * np.pi})
-    pendulum = vj.System(
-        "pendulum", states={"phi": "rad", "w": "rad s-1"}, parameters={"torque": 1.5, "c": 0.5},
-        field=lambda t, y, p: {"phi": y["w"], "w": p["torque"] - p["c"] * y["w"] - vj.elementary.sin(y["phi"])},
-        section="phi", events=[turn],
-    )  # fmt: skip
+    field = lambda t, y, p: {"phi": y["w"], "w": p["torque"] - p["c"] * y["w"] - vj.elementary.sin(y["phi"])}
+    states, parameters = {"phi": "rad", "w": "rad s-1"}, {"torque": 1.5, "c": 0.5}
+    pendulum = system(states, field, turn, parameters=parameters, section="phi")
     family = vj.follow(pendulum, along="torque", at=1.5, span=(0.2, 3.0), start=[0.0, 3.0], cycles=1, progress=False)
     assert family.torque.values.min() == pytest.approx(0.597383, abs=1e-5)
     assert family.torque.values.max() == pytest.approx(3.0, rel=1e-12)
@@ -104,12 +87,10 @@ def test_rotations_of_a_pendulum_whose_angle_jumps_back():
 )
 def test_fold_and_period_doubling_of_ball_on_shaken_table(phase, last):
     """At the fold the impact has the phase 0, that of the section if `phase` is 0. Upwards, impacts appear one by one.
-
     After each graze the orbits double and turn back once, so near the branch before that a step could lead there. The
-    branch leads to rest, which ends where the table throws the ball.
-    """
+    branch leads to rest, which ends where the table throws the ball."""
     w, g, R, a = 60.0, 9.81, 0.4, 0.0045
-    fold, doubles = ball_appears(R) * g / w**2, ball_doubles(R) * g / w**2
+    fold, doubles = systems.ball_appears(R) * g / w**2, systems.ball_doubles(R) * g / w**2
     table = vj.Impact("table", lambda t, y, p: y["x"] - p["a"] * cos(w * t + phase - np.pi / 2), "v", R)
     ball = mass(lambda t, y, p: -g, table, parameters={"a": a}, period=2 * np.pi / w)
     above, T = np.arccos(fold / a), 2 * np.pi / w
@@ -129,8 +110,7 @@ def test_fold_and_period_doubling_of_ball_on_shaken_table(phase, last):
 @pytest.mark.parametrize("at", [pytest.param(0.27, marks=pytest.mark.long), 0.3])
 def test_end_of_chatter_is_no_graze(at):
     """A ball leaves the table where its acceleration exceeds gravity. The end of its bounces passes the section at the
-    amplitude 0.3218; further bounces before rest appear as the amplitude grows.
-    """
+    amplitude 0.3218; further bounces before rest appear as the amplitude grows."""
     family = vj.follow(BALL, along="a", at=at, span=(0.2, 0.35), start=[0.0, 0.0], cycles=1, progress=False)
     assert special_values(family, "grazing") == pytest.approx([9.81 / (2 * np.pi) ** 2], abs=1e-8)
     begin = {"states": [-at * (1 + 1e-13), 0.0], "period": 1.0}  # at rest on the table, as the family gives it
@@ -139,10 +119,8 @@ def test_end_of_chatter_is_no_graze(at):
 
 
 def test_graze_is_the_same_from_both_sides():
-    """The orbit with one impact at each wall grazes both, where a branch with two impacts at each leads to it.
-
-    On the side of two impacts, multipliers grow as the square of the inverse velocity of these impacts.
-    """
+    """The orbit with one impact at each wall grazes both, where a branch with two impacts at each leads to it. On the
+    side of two impacts, multipliers grow as the square of the inverse velocity of these impacts."""
     [smooth], [steep] = (
         special_values(vj.follow(WALLS, along="d", at=0.4, span=span, start=start, cycles=1, progress=False), "grazing")
         for start, span in (([0.2, -0.6], (0.29, 0.41)), ([0.1, 0.3], (0.29, 0.46)))
@@ -159,10 +137,8 @@ def test_graze_is_the_same_from_both_sides():
     ],
 )
 def test_branch_point_is_the_same_from_both_branches(d, at, start, value):
-    """At this restitution twins leave a symmetric orbit, at d = 0.341 within 1e-3 of their swing.
-
-    The family begins on the symmetric orbit or on a twin. Its branches end at the bounds, the twins on one side.
-    """
+    """At this restitution twins leave a symmetric orbit, at d = 0.341 within 1e-3 of their swing. The family begins on
+    the symmetric orbit or on a twin. Its branches end at the bounds, the twins on one side."""
     bounds = {"span": (0.6, 0.99), "settle": 2000.0}
     family = vj.follow(WALLS, along="r", at=at, start=start, d=d, cycles=1, progress=False, **bounds)
     [crossing] = np.concatenate([special_values(family, "branch-point", branch) for branch in (0, 1)])
@@ -177,79 +153,59 @@ def grazes_against_friction(w, damping, stop, grip):
     return np.hypot(stop - off[0], off[1] / w) * abs(complex(1 - w**2, damping * w))
 
 
+RUBBED = mass(
+    lambda t, y, p: p["a"] * cos(p["w"] * t) - 2 * p["zeta"] * y["v"] - y["x"],
+    vj.Impact("wall", lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=lambda p: p["r"]),
+    vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: p["mu"], 1.0, "v"),
+    parameters={"a": 1.0, "zeta": 0.05, "d": 0.6, "r": 0.7, "mu": 0.2, "w": 0.9},
+    period=lambda p: 2 * np.pi / p["w"],
+)
+"""A shaken mass on a spring that rubs and hits a wall."""
+
+
 def test_branches_pass_and_join_at_a_graze_against_friction():
-    """Friction turns the mass where it grazes, so that two events coincide. The amplitude there is known.
-
-    From the greatest to the least position, the distance from the forced oscillation and from the equilibrium under
-    friction obeys the flow of the free oscillation (Den Hartog, Transactions of the ASME 53 (1931), 107). The branch of
-    one impact in two periods joins the motion without impact there. Along the frequency, the branch turns back at the
-    graze and leads on without impacts; there are two impacting orbits up to a fold.
-    """
-    damping, stop, grip = 0.1, 0.6, 0.2
-    events = [
-        vj.Impact("wall", gap=lambda t, y, p: stop - y["x"], velocity="v", restitution=0.7),
-        vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: grip, 1.0, "v"),
-    ]
-    shaken = mass(
-        lambda t, y, p: p["a"] * cos(p["w"] * t) - damping * y["v"] - y["x"],
-        *events,
-        parameters={"a": 1.0, "w": 0.9},
-        period=lambda p: 2 * np.pi / p["w"],
-    )
-
-    graze = partial(grazes_against_friction, damping=damping, stop=stop, grip=grip)
-    family = vj.follow(shaken, along="a", at=1.0, span=(0.25, 2.0), cycles=2, progress=False)
+    """Friction turns the mass where it grazes, so that two events coincide. The amplitude there is known. From the
+    greatest to the least position, the distance from the forced oscillation and from the equilibrium under friction
+    obeys the flow of the free oscillation (Den Hartog, Transactions of the ASME 53 (1931), 107). The branch of one
+    impact in two periods joins the motion without impact there. Along the frequency, the branch turns back at the graze
+    and leads on without impacts; there are two impacting orbits up to a fold."""
+    graze = partial(grazes_against_friction, damping=0.1, stop=0.6, grip=0.2)
+    family = vj.follow(RUBBED, along="a", at=1.0, span=(0.25, 2.0), cycles=2, progress=False)
     assert special_values(family, "grazing") == pytest.approx([graze(0.9)], abs=1e-8)
     assert special_values(family, "grazing", branch=1)[-1] == pytest.approx(graze(0.9), abs=1e-8)
     assert special_values(family, "end").tolist() == [0.25, 2.0] and not len(special_values(family, "end", branch=1))
-    family = vj.follow(shaken, along="w", at=1.5, span=(1.3, 2.1), progress=False)
+    family = vj.follow(RUBBED, along="w", at=1.5, span=(1.3, 2.1), progress=False)
     turn = brentq(lambda w: graze(w) - 1.0, 1.3, 2.0, xtol=1e-14)
     assert special_values(family, "grazing") == pytest.approx([turn], abs=1e-8)
     assert special_values(family, "end").tolist() == [1.3, 2.1] and len(special_values(family, "fold")) == 1
 
 
-def rubbed_at_a_wall(a, zeta, d, r, mu, w):
-    """Return a shaken mass on a spring that rubs and hits a wall."""
-    wall = vj.Impact("wall", lambda t, y, p: p["d"] - y["x"], velocity="v", restitution=r)
-    base = vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: mu, 1.0, "v")
-    return mass(
-        lambda t, y, p: a * cos(p["w"] * t) - 2 * zeta * y["v"] - y["x"],
-        wall, base, parameters={"d": d, "w": w}, period=lambda p: 2 * np.pi / p["w"],
-    )  # fmt: skip
+FIRST, SECOND = (0.5375127342607715, [0.48732077, -0.28777351], 0.5), (0.85, [0.64, 0.12], 0.9)
 
 
-@pytest.mark.parametrize(
-    ("at", "states", "near"),
-    [
-        (0.5375127342607715, [0.48732077, -0.28777351], 0.5),
-        pytest.param(0.85, [0.64, 0.12], 0.9, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.parametrize(("at", "states", "near"), [FIRST, pytest.param(*SECOND, marks=pytest.mark.long)])
 def test_no_step_leads_over_a_graze_and_a_fold(at, states, near):
     """Between them three orbits coexist, in the second case within 1e-5. A step could lead over both."""
     w, span = 0.4940463346155941, (0.4155952563264156, 1.038988140816039)
-    shaken = rubbed_at_a_wall(0.9670313078557167, 0.037390504262386035, 0.5, 0.5457002440122073, 0.0377447662751558, w)
+    fixed = {"a": 0.9670313078557167, "zeta": 0.037390504262386035, "r": 0.5457002440122073, "mu": 0.0377447662751558}
     begin = {"at": at, "orbit": {"states": states, "period": 2 * np.pi / w}}
-    family = vj.follow(shaken, along="d", span=span, cycles=1, progress=False, **begin)
+    family = vj.follow(RUBBED, along="d", span=span, cycles=1, progress=False, w=w, **begin, **fixed)
     [fold] = [x for x in special_values(family, "fold") if abs(x - near) < 0.02]
     assert special_values(family, "grazing").min() < fold
     assert family.multiplier_abs[np.abs(family.d.values - fold).argmin(), 0] == pytest.approx(1.0, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("at", "states"),
-    [
-        (2.3216075, [-0.5568880757, 0.2205922152]),
-        pytest.param(2.1016626655, [-0.6736863982, 0.3782824034], marks=pytest.mark.long),
-    ],
-)
+OTHER_SIDE = pytest.param(2.1016626655, [-0.6736863982, 0.3782824034], marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize(("at", "states"), [(2.3216075, [-0.5568880757, 0.2205922152]), OTHER_SIDE])
 def test_end_at_a_graze_against_friction_is_the_same_from_both_sides(at, states):
     """Orbits of one impact in two periods end where the mass without impacts grazes; rounding errors make it stick."""
-    damping, stop, grip = 0.11624693203868956, 0.36831794778351135, 0.23061673176405711
-    shaken = rubbed_at_a_wall(1.3478945560663065, damping, stop, 0.4673012773751276, grip, 2.0)
-    orbit = {"states": states, "period": 4 * np.pi / at}
-    family = vj.follow(shaken, along="w", at=at, span=(2.0, 2.4), orbit=orbit, cycles=1, progress=False)
-    graze = brentq(lambda w: grazes_against_friction(w, 2 * damping, stop, grip) - 1.3478945560663065, 2.0, 2.2)
+    a, zeta, stop, grip = 1.3478945560663065, 0.11624693203868956, 0.36831794778351135, 0.23061673176405711
+    fixed = {"a": a, "zeta": zeta, "d": stop, "r": 0.4673012773751276, "mu": grip}
+    begin = {"at": at, "orbit": {"states": states, "period": 4 * np.pi / at}}
+    family = vj.follow(RUBBED, along="w", span=(2.0, 2.4), cycles=1, progress=False, **begin, **fixed)
+    graze = brentq(lambda w: grazes_against_friction(w, 2 * zeta, stop, grip) - a, 2.0, 2.2)
     assert special_values(family, "grazing").min() == pytest.approx(graze, abs=1e-9)
     assert not len(special_values(family, "stick"))
 
@@ -257,10 +213,7 @@ def test_end_at_a_graze_against_friction_is_the_same_from_both_sides(at, states)
 def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():
     """A family that begins with one impact in two periods leads to a doubling in closed form, and does not go back."""
     family = vj.follow(IMPACT_OSCILLATOR, along="r", at=0.7, span=(0.0, 1.0), a=0.5, progress=False, cycles=2)
-
-    def product(r):
-        return np.prod(1 + oscillator_orbits(0.5, r, **OSCILLATOR)[-1].multipliers).real
-
+    product = lambda r: np.prod(1 + oscillator_orbits(0.5, r, **OSCILLATOR)[-1].multipliers).real
     doubles = brentq(product, 0.6, 0.62, xtol=1e-15)
     assert special_values(family, "period-doubling") == pytest.approx([doubles], abs=1e-10)
     assert len(special_values(family, "fold")) == len(special_values(family, "grazing")) == 1
@@ -313,7 +266,10 @@ def test_bounce_that_vanishes_with_the_restitution_is_no_graze(at):
     assert not (special_values(family, "stick") < 0.5).any()
 
 
-@pytest.mark.parametrize(("at", "sticks", "near"), [(0.8, True, 1.1005), (0.95, True, 1.1005), (1.3, False, 1.1007)])
+BESIDE = pytest.param(0.95, True, 1.1005, marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize(("at", "sticks", "near"), [(0.8, True, 1.1005), BESIDE, (1.3, False, 1.1007)])
 def test_branch_ends_where_greater_static_friction_makes_the_motion_jump(at, sticks, near):
     """A mass that slides slower and slower until it touches rest sticks at once, until the drive exceeds 0.25."""
     family = vj.follow(STICKS_AT_STOP, along="d", at=at, span=(0.7, 1.5), start=[0, 0], cycles=1, progress=False)

@@ -1,4 +1,5 @@
-"""Tests that a lane's result does not depend on its chunk, position, region, neighbours or cores; carried lanes."""
+"""Tests that a lane's result does not depend on its chunk, position, region, neighbours or cores, and is that of a
+trajectory; carried lanes."""
 
 import json
 import os
@@ -10,16 +11,16 @@ import numpy as np
 import pytest
 import xarray as xr
 from refusals import refusal
-from systems import events_of
+from systems import events_of, mass
 
 import vibrojax as vj
 from vibrojax.compile import xla
 from vibrojax.compile.native import kernels
-from vibrojax.io.dataset import open_dataset
 from vibrojax.maps import dataset as joining
-from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_sweep, run_to_file
 from vibrojax.measures.labels import FAILED, IRREGULAR, SINGLE_IMPACT
+from vibrojax.studies.sweep import frequency_part
+from vibrojax.studies.trajectory import feature_lines
 
 CASES = json.loads((Path(__file__).parent / "data" / "vibro_impact_cases.json").read_text())
 PERIODIC = [case for case in CASES if case["expected"].get("cycles", 0) > 0]
@@ -126,10 +127,8 @@ def test_keep_returns():
 
 
 def test_float32():
-    """In single precision and at the full 48 s, periodic cases have the right regime.
-
-    Their period and impact velocity are right to 3e-6. No lane is abandoned, the irregular ones included.
-    """
+    """In single precision and at the full 48 s, periodic cases have the right regime. Their period and impact velocity
+    are right to 3e-6. No lane is abandoned, the irregular ones included."""
     single = vj.run_sweep(sweep(CASES, precision="float32"), progress=False)
     assert np.all(single.status == 0)
     for index, case in enumerate(CASES):
@@ -182,7 +181,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 )
 def test_regions_do_not_change_result(starts, changes, tmp_path, monkeypatch):
     """Chunks and regions split points and paths of carried lanes. Real regions hold a million lanes."""
-    sweep = read_sweep(JOINED | {"starts": starts}, changes)
+    sweep = vj.read_sweep(JOINED | {"starts": starts}, changes)
     expected = run_sweep(sweep, progress=False)
     monkeypatch.setattr(joining, "REGION", 2)
     for joined in (run_sweep(sweep, progress=False), run_to_file(sweep, tmp_path / "out.nc", progress=False)):
@@ -205,7 +204,6 @@ def test_memory_is_bounded_by_region(tmp_path):
 
 
 # Lanes that are carried along an axis: each starts from the final state of the previous one
-
 BETAS, GAMMAS = [0.3, 0.4], [0.59, 0.61, 0.63, 0.7, 0.75]
 MAP = {
     "scene": "vibro-impact",
@@ -244,8 +242,8 @@ def test_lane_starts_from_final_state_of_previous_lane():
 
 
 def test_chunks_hold_whole_paths(tmp_path, carried):
-    run_to_file(read_sweep(carried_sweep(chunk=13)), tmp_path / "out.nc", progress=False)  # two paths of five lanes
-    xr.testing.assert_equal(open_dataset(tmp_path / "out.nc"), carried)
+    run_to_file(vj.read_sweep(carried_sweep(chunk=13)), tmp_path / "out.nc", progress=False)  # two paths of five lanes
+    xr.testing.assert_equal(vj.open_dataset(tmp_path / "out.nc"), carried)
 
 
 def test_carrying_continues_after_a_failed_lane():
@@ -263,7 +261,7 @@ def test_unsuitable_axis_is_refused_in_one_line():
         ({"carry": "gamma"}, {"starts": ["drive", "stuck"]}, "run.carry: 2 starts; the first lane in each direction"),
         ({"carry": "gamma"}, {"grid": {"gamma": [0.7, 0.6]}}, "run.carry: the values of gamma do not rise"),
     ):
-        assert line in refusal(read_sweep, MAP | tables | {"run": run})
+        assert line in refusal(vj.read_sweep, MAP | tables | {"run": run})
 
 
 def test_hysteresis_between_directions(carried):
@@ -274,3 +272,79 @@ def test_hysteresis_between_directions(carried):
     at_gap = carried.sel(beta=0.4, gamma=[0.7, 0.75], v=1.5)
     assert (at_gap.regime.sel(direction="up") == IRREGULAR).all()
     assert (at_gap.regime.sel(direction="down") == SINGLE_IMPACT).all()
+
+
+# The features that `simulate` reports, and their text
+STRONG = {"threshold": 30e3, "delta": 0.002}
+POINTS = {
+    "vibro-impact": ({"delta": 0.002, "gamma": 0.5, "beta": 0.9}, 12.0),
+    "coupled-drilling": (STRONG, 5.0),
+    "penetration": ({"force": 300e3}, 1.0),
+}
+ROUNDING = {"drift_estimate", "deepest_gap", "stick_fraction"}
+"""Features that are zero here up to rounding, or that measure rounding."""
+
+
+def swept_lane(scene, parameters, run, **more):
+    """Return the only lane of a sweep that settles and is observed as `run` says."""
+    starts = {} if scene == "penetration" else {"starts": ["stuck"]}
+    sweep = {"scene": scene, "parameters": parameters, "grid": {"m1": [250.0]}, "run": run | more} | starts
+    return vj.run_sweep(sweep, progress=False).squeeze()
+
+
+@pytest.mark.parametrize("scene", POINTS)
+def test_motion_is_measured_and_labelled_like_lane_of_sweep(scene):
+    parameters, duration = POINTS[scene]
+    start = {} if scene == "penetration" else {"start": "stuck"}
+    motion = vj.simulate(scene, duration=duration, progress=False, **parameters, **start)
+    lane = swept_lane(scene, parameters, json.loads(motion.attrs["run"]), end_early=False)
+    sweep_only = {"check_regime", "error_estimate", "sensitive", "status", "reason"}
+    assert set(lane.data_vars) - sweep_only == {name for name in motion.data_vars if motion[name].ndim == 0}
+    for name in set(lane.data_vars) - sweep_only:
+        assert motion[name].attrs["units"] == lane[name].attrs["units"]
+        assert motion[name].dtype == lane[name].dtype
+        atol = 1e-7 if name in ROUNDING else 0.0
+        np.testing.assert_allclose(motion[name], lane[name], rtol=1e-7, atol=atol, err_msg=name)
+
+
+def test_undecided_motion_names_a_sufficient_duration():
+    motion = vj.simulate("vibro-impact", duration=1.0, progress=False)
+    line = feature_lines(motion)[0]
+    assert line.startswith("undecided: 2 returns to the section are too few to judge by, 9 are needed; give duration=")
+    enough = float(line.rpartition("=")[2])
+    longer = vj.simulate("vibro-impact", duration=enough, progress=False)
+    assert longer["returns"] >= 9
+    still = vj.simulate("vibro-impact", v=0.0, duration=1.0, progress=False)
+    assert "the drive is at rest: give v above 0" in feature_lines(still)[0]
+
+
+def test_short_motion_that_repeats_has_its_period():
+    """12 cycles of a damped, driven oscillator: too few returns for a regime, enough for the period."""
+    rate = lambda t, y, p: vj.elementary.cos(2 * t) - 2 * p["zeta"] * y["v"] - y["x"]
+    oscillator = mass(rate, parameters={"zeta": 0.5}, period=lambda p: np.pi)
+    motion = vj.simulate(oscillator, duration=12 * np.pi, progress=False)
+    assert int(motion.cycles) == 1 and float(motion.period) == pytest.approx(np.pi, rel=1e-12)
+    assert "so far it repeats in each period of 3.1416 s; give duration=" in feature_lines(motion)[0]
+
+
+def test_frequencies_are_outputs():
+    """Compare with w1/2pi, w2/2pi, the roots of the frequency equation (sum and product), and impacts per minute."""
+    motion = vj.simulate("vibro-impact", delta=0.005, start="stuck", striker_frequency=3.0, progress=False)
+    outputs = vj.frequencies(motion)
+    assert float(outputs["bit_frequency"]) == pytest.approx(25 / (2 * np.pi))
+    assert float(outputs["striker_frequency"]) == pytest.approx(3.0) and outputs["striker_frequency"].units == "Hz"
+    squares = [(2 * np.pi * float(outputs[name])) ** 2 for name in ("lower_frequency", "upper_frequency")]
+    gamma = 6 * np.pi / 25
+    assert sum(squares) == pytest.approx(625 * (1 + gamma**2 * 1.4))
+    assert np.prod(squares) == pytest.approx(625**2 * gamma**2)
+    single = float(motion.impacts) == float(motion.cycles) == 1
+    assert single and float(outputs["blow_frequency"]) == pytest.approx(60 / float(motion.period))
+    ds = xr.Dataset(
+        {"impacts": ("rpm", [3.0, 0.5, 0.0]), "cycles": ("rpm", [2, 0, 1]), "period": ("rpm", [0.2, 0.25, 0.2])},
+        {"rpm": ("rpm", [100.0, 110.0, 120.0])},
+        {"sweep": 'scene = "vibro-impact"\n[parameters]\nbit_radius = 0.1\n'},
+    )
+    np.testing.assert_allclose(vj.frequencies(ds)["blow_frequency"], [450.0, 120.0, 0.0])
+    part = frequency_part(ds)
+    assert part.lines == ["blows 0 to 450 1/min, rotation 100 to 120 1/min"]
+    assert part.facts["frequencies"]["rpm"] == {"least": 100.0, "greatest": 120.0, "units": "min-1"}

@@ -58,9 +58,6 @@ def test_every_public_name_resolves():
 
 def test_version_is_installed_version():
     assert vj.__version__ == version("vibrojax")
-
-
-def test_citation_has_same_version():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert f"\nversion: {project['version']}\n" in (ROOT / "CITATION.cff").read_text()
 

@@ -57,8 +57,6 @@ def test_sticking_makes_a_multiplier_zero(cases):
 
 
 # Other scenes
-
-
 def test_multipliers_of_rock():
     points, soft = {"beta": [0.3, 0.4], "gamma": [0.7, 0.75]}, {"threshold": [2e4, 2e4]}
     drill, one_way, coupled = (
@@ -79,11 +77,8 @@ def test_multipliers_of_rock():
 
 @pytest.mark.long
 def test_coupled_rock_matches_exact_motion():
-    """Compare the multipliers of five states with central differences.
-
-    The rock is damped so lightly that it still moves at the next impact. It yields in the second lane, which makes a
-    multiplier zero.
-    """
+    """Compare the multipliers of five states with central differences. The rock is damped so lightly that it still
+    moves at the next impact. It yields in the second lane, which makes a multiplier zero."""
     points = {"beta": [0.4626, 0.58], "gamma": [0.67, 0.6341], "v": [1.349, 1.351]}
     points |= {"zeta": [0.02357, 0.03134], "threshold": [13.81e3, 26.87e3], "k3": [9.912e6, 26.69e6]}
     sweep = {"scene": "coupled-drilling", "points": points, "starts": ["stuck"], "unusual": True}
@@ -103,8 +98,6 @@ def test_coupled_rock_matches_exact_motion():
 
 
 # Replaced features, and refused orbits
-
-
 def test_irregular_and_failed_lanes_have_no_orbit():
     tables = {"scene": "vibro-impact", "grid": {"beta": [0.95], "gamma": [0.35, 0.7]}, "run": ORBITS | SOON}
     irregular = vj.run_sweep(tables, progress=False)
@@ -115,8 +108,6 @@ def test_irregular_and_failed_lanes_have_no_orbit():
 
 
 # Commands and files
-
-
 def test_other_features_do_not_change():
     """Orbits change only the features that they replace, and add their own variables."""
     columns = {name: [case["point"][name] for case in (CASES[0], CASES[4], CASES[8])] for name in CASES[0]["point"]}

@@ -1,21 +1,26 @@
-"""Tests of user-defined objects in place of names: a friction law, a scene, a stepper, a measure."""
+"""Tests of objects of users and of other packages: friction laws, scenes, steppers, measures, and analyses."""
 
+import io
+import json
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from pathlib import Path
 from textwrap import dedent
 from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 from refusals import refusal
 
 import vibrojax as vj
-from vibrojax.measures import Gauge
-from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
+from vibrojax.cli import main
+from vibrojax.io.kinds import kind_of
 from vibrojax.scenes.vibro_impact import VibroImpact
-from vibrojax.stepping import Located
+from vibrojax.studies.analysis import analysis_of, offered_analyses
 
 RUN = {"settle": 6.0, "observe": 6.0}
 POINT = {"beta": 0.4, "gamma": 0.7}
@@ -35,8 +40,8 @@ def usual():
 
 def my_law():
     """Return the law of eq. 5.9 under another name."""
-    stribeck = FRICTION_LAWS["stribeck"]
-    return FrictionLaw("mine", "eq. 5.9", stribeck.parameters, stribeck.mu, stribeck.mu_impact)
+    stribeck = vj.FRICTION_LAWS["stribeck"]
+    return vj.FrictionLaw("mine", "eq. 5.9", stribeck.parameters, stribeck.mu, stribeck.mu_impact)
 
 
 def test_own_friction_law(usual):
@@ -51,7 +56,7 @@ def test_own_friction_law(usual):
 
 def test_own_stepper(usual):
     """A stepper of higher order gives the same motion, within the accepted errors of both."""
-    finer = sweep(method=Located(order=12))
+    finer = sweep(method=vj.Located(order=12))
     assert '"order": 12' in finer.attrs["solver"]
     np.testing.assert_array_equal(finer.regime, usual.regime)
     np.testing.assert_allclose(finer.period, usual.period, rtol=1e-6)
@@ -59,7 +64,7 @@ def test_own_stepper(usual):
 
 
 @dataclass(frozen=True)
-class MeanSpeed(Gauge):
+class MeanSpeed(vj.Gauge):
     """Mean of |x2'| over whole returns [m/s]: the striker's way up and down, per time."""
 
     summed: ClassVar[tuple[str, ...]] = ("way",)
@@ -79,10 +84,8 @@ class Measured(VibroImpact):
 
 
 def test_own_measure(usual):
-    """The measure is in the dataset with its unit.
-
-    In a period the striker goes up and down by its swing, because steps end at its turning points.
-    """
+    """The measure is in the dataset with its unit. In a period the striker goes up and down by its swing, because steps
+    end at its turning points."""
     own = sweep(Measured())
     assert own.striker_mean_speed.attrs["units"] == "m s-1"
     clean = (own.cycles == 1) & (own.striker_turns == 1)
@@ -96,7 +99,7 @@ def test_measure_with_the_name_of_a_variable_of_the_package_is_refused():
     """Its unit would take the place of the package's, which keeps the values."""
 
     @dataclass(frozen=True)
-    class Period(Gauge):
+    class Period(vj.Gauge):
         variables: ClassVar[dict[str, tuple[str, str]]] = {"period": ("m s-1", "greatest speed")}
 
         def read(self, scene, c, carry, whole):
@@ -106,8 +109,15 @@ def test_measure_with_the_name_of_a_variable_of_the_package_is_refused():
     class Renamed(VibroImpact):
         measures = (*VibroImpact.measures, Period())
 
-    with pytest.raises(vj.InputError, match="Period declares period, which is a variable of vibrojax; give it another"):
-        sweep(Renamed())
+    assert "Period declares period, which is a variable of vibrojax; give it another" in refusal(sweep, Renamed())
+
+
+def install(folder, name, group, entry_points):
+    """Make a package known as pip does."""
+    about = folder / f"{name}-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("\n".join([f"[vibrojax.{group}]", *entry_points, ""]))
 
 
 @pytest.mark.parametrize(
@@ -119,7 +129,7 @@ def test_measure_with_the_name_of_a_variable_of_the_package_is_refused():
 )
 def test_wrong_sums_end_in_one_line(summed, increments, message):
     own = {"summed": summed, "increments": lambda *_: increments, "read": lambda *_: {}}
-    gauge = type("Mine", (Gauge,), own)()
+    gauge = type("Mine", (vj.Gauge,), own)()
 
     @dataclass(frozen=True)
     class Wrong(VibroImpact):
@@ -153,19 +163,8 @@ def test_objects_of_installed_package(tmp_path):
         system = vj.System("my-system", states={"x": "m"}, parameters={"k": 1.0}, field=field, period=6.283185307179586)
         """)
     )
-    (tmp_path / "mine-1.0.dist-info").mkdir()
-    (tmp_path / "mine-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
-    (tmp_path / "mine-1.0.dist-info" / "entry_points.txt").write_text(
-        dedent("""
-        [vibrojax.objects]
-        a = mine:law
-        b = mine:taken
-        d = mine:Scene
-        f = mine:system
-        g = mine:stepper
-        my-gauge = mine:gauge
-        """)
-    )
+    names = {"a": "law", "b": "taken", "d": "Scene", "f": "system", "g": "stepper", "my-gauge": "gauge"}
+    install(tmp_path, "mine", "objects", [f"{name} = mine:{thing}" for name, thing in names.items()])
     code = """
         import warnings
         import vibrojax as vj
@@ -189,7 +188,7 @@ def test_objects_of_installed_package(tmp_path):
 
 def own_law(mu):
     slow = vj.parameters.table(vj.parameters.positive("vs", 1.0, "m s-1", "speed scale", "v_s"))
-    return FrictionLaw("mine", "own", slow, mu)
+    return vj.FrictionLaw("mine", "own", slow, mu)
 
 
 @pytest.mark.parametrize(
@@ -211,3 +210,113 @@ def test_lanes_with_negative_friction_have_a_reason():
     ds = vj.run_sweep({"scene": "rotary", "parameters": {"friction": law}, "grid": {"vs": [1.0, 3.0]}}, progress=False)
     names = ds.reason.attrs["flag_meanings"].split()
     assert [names[int(k)] for k in ds.reason.values[:, 0]] == ["none", "negative-friction-at-rest"]
+
+
+OUTSIDE = Path(__file__).parent / "outside"
+SWEEP = """scene = "rotary"
+[grid]
+v = [0.5, 1.0, 1.5]
+[run]
+settle = 10.0
+observe = 8.0
+"""
+
+
+@pytest.fixture(scope="module")
+def campbell(tmp_path_factory):
+    """Return a folder with an installed package that registers a Campbell diagram, and the dataset of its command."""
+    folder = tmp_path_factory.mktemp("outside")
+    entry_points = ["campbell = campbell:Campbell", "broken = campbell:SAMPLES", "faulty = faulty:Campbell"]
+    install(folder, "campbell", "analyses", entry_points)
+    text = (OUTSIDE / "campbell.py").read_text()
+    (folder / "campbell.py").write_text(text)
+    faults = {'kind = "campbell"': 'kind = "faulty"', "np.hanning": "np.haning", ".4g": ".4q"}
+    for right, wrong in faults.items():
+        assert right in text
+        text = text.replace(right, wrong)
+    (folder / "faulty.py").write_text(text)
+    (folder / "speeds.toml").write_text(SWEEP)
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as printed:
+        patch.chdir(folder)
+        patch.syspath_prepend(folder)
+        offered_analyses.cache_clear()
+        assert main(["campbell", "speeds.toml", "--orders", "3"]) == 0
+    assert "picture" in printed.getvalue()
+    return folder
+
+
+@pytest.fixture
+def command(campbell, monkeypatch, capsys):
+    """Return a function that runs a command with the package installed and returns its stdout, or stderr on failure."""
+    monkeypatch.chdir(campbell)
+    monkeypatch.syspath_prepend(campbell)
+    offered_analyses.cache_clear()
+
+    def run(*words, status=0):
+        assert main(words) == status
+        printed = capsys.readouterr()
+        return printed.err if status else printed.out
+
+    yield run
+    offered_analyses.cache_clear()
+
+
+def test_command_of_another_package_writes_dataset_and_picture(campbell, monkeypatch):
+    monkeypatch.chdir(campbell)
+    assert (campbell / "speeds-campbell.png").stat().st_size > 10_000
+    with xr.open_dataset(campbell / "speeds-campbell.nc") as ds:
+        assert ds.attrs["kind"] == "campbell" and ds.attrs["Conventions"] == "CF-1.11"
+        # Friction feeds the upper linear mode; a window of 8 s resolves 1/8 Hz.
+        upper = vj.modes.natural_frequencies(vj.read_sweep("speeds.toml").parameters)[1] / (2 * np.pi)
+        assert np.abs(ds["fundamental"] - float(upper)).max() < 1 / 8
+
+
+def test_help_info_and_plot_include_analysis_of_another_package(command):
+    assert "campbell" in command("--help")
+    own = command("campbell", "--help")
+    assert "Draw the spectrum of the bit over the axis of a sweep" in " ".join(own.split())
+    assert own.index("--highest") < own.index("--orders")
+    assert "highest frequency, Hz" in command("campbell", "--help")
+    assert "spectrum  fundamental frequency from" in command("info", "speeds-campbell.nc")
+    assert "strongest frequency of the bit" in command("scenes", "rotary")
+    facts = json.loads(command("info", "speeds-campbell.nc", "--json"))
+    assert facts["kind"] == "campbell" and len(facts["fundamental"]) == 2
+    assert command("plot", "speeds-campbell.nc", "-o", "again.png") == "again.png\n" and Path("again.png").exists()
+
+
+def test_broken_entry_point_is_refused_in_one_line(command):
+    refused = command("broken", "speeds.toml", status=2)
+    assert refused.count("\n") == 1 and "entry point vibrojax.analyses: broken" in refused
+    command("scenes")  # does not import analyses that it does not need
+
+
+def test_fault_of_an_analysis_is_not_that_of_the_file(command):
+    vj.write_dataset(vj.open_dataset("speeds-campbell.nc").assign_attrs(kind="faulty"), "faulty.nc")
+    for words, error in ((("info", "faulty.nc"), "ValueError"), (("faulty", "speeds.toml"), "AttributeError")):
+        refused = command(*words, status=2)
+        assert refused.count("\n") == 1 and f"{words[0]}: the code of faulty fails ({error}" in refused
+
+
+class Medians(vj.Analysis):
+    """The median of each variable over the axes of a sweep."""
+
+    kind = "medians"
+
+    def run(self, source, progress=True):
+        return vj.run_sweep(source, progress=progress)[["period", "bit_amplitude"]].median()
+
+    def summary(self, ds):
+        return [vj.SummaryPart("medians", [f"period {ds.period:.3g} s"])]
+
+
+def test_unregistered_analysis_object_runs():
+    ds = vj.analyse({"scene": "rotary", "grid": {"v": [1.0, 1.5]}}, Medians(), progress=False)
+    assert ds.attrs["kind"] == kind_of(ds) == "medians" and ds.attrs["source"].startswith("vibrojax")
+    assert isinstance(analysis_of(ds), Medians)
+
+
+@pytest.mark.parametrize("wrong", [Medians, 3, None])
+def test_object_that_is_not_an_analysis_is_refused(wrong):
+    assert "is not an Analysis" in refusal(vj.analyse, "regime-map", wrong)
+    with pytest.raises(vj.InputError, match="Bare has no method run"):
+        vj.analyse("regime-map", type("Bare", (vj.Analysis,), {"kind": "bare"})())

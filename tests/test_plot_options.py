@@ -12,7 +12,6 @@ from refusals import command_refusal, refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.errors import InputError
 from vibrojax.measures.labels import SINGLE_IMPACT
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.selection import select
@@ -53,14 +52,10 @@ def test_only_lanes_at_selected_value_are_drawn():
     assert not title and sheet.note.startswith("Δ = 5 mm, start: stuck")
 
 
-def test_values_match_to_four_digits():
+def test_selection_by_value():
     ds = lanes({"gamma": np.linspace(0.6, 0.8, 7), "beta": [0.3, 0.4]})
     assert float(select(ds, {"gamma": 0.63333})["gamma"]) == ds["gamma"].values[1]
-    with pytest.raises(InputError, match=r"gamma = 0\.64; there are 0\.6, 0\.633333"):
-        select(ds, {"gamma": 0.64})
-
-
-def test_coordinate_along_axis_selects_all_matching_lanes():
+    assert "gamma = 0.64; there are 0.6, 0.633333" in refusal(select, ds, {"gamma": 0.64})
     ds = basin(plane())
     assert select(ds, {"start_v2": 3.0}).sizes["start"] == 12
     assert select(points(), {"start": "stuck"}).sizes["point"] == 20
@@ -80,18 +75,11 @@ def test_chosen_colours_apply_to_quantities_but_not_to_regimes():
 
 
 # Invalid requests.
-
 WRONG = [
-    (
-        {"variable": "stick_fractoin"},
-        'variable: "stick_fractoin" is not in the dataset; did you mean "stick_fraction"?',
-    ),
+    ({"variable": "stick_fractoin"}, 'variable: "stick_fractoin" is not in the dataset; did you mean "stick_f'),
     ({"variable": ["return_impact_velocity", "period"]}, "is not one number a lane; choose from regime"),
     ({"where": {"k0": 1.0}}, 'where: "k0" is none of the dataset\'s axes; choose from gamma, start'),
-    (
-        {"where": {"gamma": 0.5}},
-        "no lane has gamma = 0.5; there are 15 from 0.3 to 1.2, beside it 0.492857 and 0.557143",
-    ),
+    ({"where": {"gamma": 0.5}}, "no lane has gamma = 0.5; there are 15 from 0.3 to 1.2, beside it 0.492857 and"),
 ]
 
 

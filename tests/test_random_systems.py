@@ -54,7 +54,7 @@ def verdicts(seed, draws, duration=20.0):
 @pytest.mark.parametrize("seed", [12] + [pytest.param(seed, marks=pytest.mark.long) for seed in (2, 17)])
 def test_trajectories_of_random_systems(seed):
     """Impacts, a reset, switches and friction together; the second start is exactly on a surface."""
-    outcomes = verdicts(seed, (0, 3))
+    outcomes = verdicts(seed, (0, 3), 12.0)
     assert {key: verdict for key, verdict in outcomes.items() if verdict[0] not in ("agree", "doubtful")} == {}
     assert sum(kind == "agree" for kind, _ in outcomes.values()) >= 2
 

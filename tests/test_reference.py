@@ -37,11 +37,9 @@ HARD = {  # stiff contacts, with c0 and c2 at their extremes
 SHARES = ("stick_fraction", "reverse_fraction")
 
 BURSTS = 14
-"""Case of vibro_impact_cases.json that is chaotic with slow bursts.
-
-In about one of six realisations, decided by rounding, its swings rise or fall strictly over the eight eighths of the
-observation. Then the rule for "undecided", which comes first, applies.
-"""
+"""Case of vibro_impact_cases.json that is chaotic with slow bursts. In about one of six realisations, decided by
+rounding, its swings rise or fall strictly over the eight eighths of the observation. Then the rule for "undecided",
+which comes first, applies."""
 
 
 def read(name):
@@ -73,9 +71,7 @@ def check_bounds(cases, dataset, bounds):
         deviations = errors(cases, dataset, name)
         assert deviations, name
         worst = max(deviations, key=lambda index: deviations[index] if np.isfinite(deviations[index]) else np.inf)
-        assert deviations[worst] < bound, (
-            f"{name} of case {worst} is {deviations[worst]:.2g} off: {cases[worst]['point']}"
-        )
+        assert deviations[worst] < bound, f"{name} of {worst} is {deviations[worst]:.2g} off: {cases[worst]['point']}"
 
 
 def check_counts(cases, dataset):
@@ -103,9 +99,6 @@ def test_regimes(usual_cases):
             assert dataset.cycles[index] == 0
         else:
             assert regime == case["expected"]["regime"], (index, case["point"])
-
-
-def test_counts_of_cycles_and_impacts(usual_cases):
     check_counts(*usual_cases)
 
 

@@ -4,6 +4,7 @@ import re
 import warnings
 
 import pytest
+from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -11,8 +12,6 @@ from vibrojax.errors import Place
 from vibrojax.io.variables import VARIABLES
 from vibrojax.lanes.labels import feature_names
 from vibrojax.maps.read import read_point
-from vibrojax.physics.friction import FRICTION_LAWS
-from vibrojax.scenes import SCENES
 from vibrojax.settings.run_settings import RunSettings
 from vibrojax.studies.catalogue import scene_text
 
@@ -39,7 +38,7 @@ def test_variables_agree_with_those_of_dataset(scene, axis):
 def test_measures_of_the_package_are_variables():
     """The others end as labels, or as inputs of orbits and error estimates."""
     hidden = {"finished", "finite", "steps", "trend", "load", "return_interval", "return_growth"}
-    for scene in (SCENES["vibro-impact"](), SCENES["drilling"]()):
+    for scene in (vj.SCENES["vibro-impact"](), vj.SCENES["drilling"]()):
         states = (f"return_{name}" for name in scene.return_states)
         scales = (f"{name}_scale" for name in scene.return_states)
         assert feature_names(scene) <= {*VARIABLES, *hidden, *states, *scales}
@@ -86,13 +85,13 @@ def test_value_in_wrong_unit_gives_warning(scene, name, value, suggestion):
 
 
 def test_defaults_and_limits_of_usual_range_give_no_warning():
-    for scene_type in SCENES.values():
+    for scene_type in vj.SCENES.values():
         for parameter in scene_type().parameters().values():
             assert not parameter.is_far(parameter.default)
             for end in parameter.usual or ():
                 assert not parameter.is_far(end)
                 assert parameter.is_far(1e9 * (end or 1.0))
-    for law in FRICTION_LAWS.values():
+    for law in vj.FRICTION_LAWS.values():
         assert not any(parameter.is_far(parameter.default) for parameter in law.parameters.values())
 
 
@@ -109,5 +108,4 @@ def test_sweep_warns_once_per_axis_unless_marked_unusual():
         warnings.simplefilter("error")
         vj.read_sweep(sweep | {"unusual": True})
         vj.read_sweep(sweep, ["unusual=true"])
-    with pytest.raises(vj.InputError, match="sweep: unusual: 1 is neither true nor false"):
-        vj.read_sweep(sweep | {"unusual": 1})
+    assert "sweep: unusual: 1 is neither true nor false" in refusal(vj.read_sweep, sweep | {"unusual": 1})

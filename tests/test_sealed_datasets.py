@@ -124,18 +124,15 @@ def test_looping_file_leaves_no_lock(rates, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["storage", "link", "virtual"])
-def test_other_files_are_not_read(kind, tmp_path, monkeypatch):
+def test_other_files_are_not_read(kind, here):
     """Values of `period` are those of `secret.bin` or `other.h5`; see `tests/data/README.md`."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "secret.bin").write_bytes(np.arange(4.0).tobytes())
+    (here / "secret.bin").write_bytes(np.arange(4.0).tobytes())
     for file in (DATA / "links").iterdir():
-        shutil.copy(file, tmp_path)
+        shutil.copy(file, here)
     if kind == "storage":
         with xr.open_dataset("storage.nc") as ds:
             assert ds["period"].values.tolist() == [0.0, 1.0, 2.0, 3.0]
-    assert (
-        "refers to other files" in (line := refusal(vj.open_dataset, f"{kind}.nc")) or "values of other files" in line
-    )
+    assert "refers to other files" in (line := refusal(vj.open_dataset, f"{kind}.nc")) or "values of other" in line
 
 
 def test_store_cannot_name_files_elsewhere(rates, tmp_path):

@@ -5,11 +5,9 @@ import pytest
 from systems import IMPACT_OSCILLATOR, oscillator_orbits
 
 import vibrojax as vj
-from vibrojax.errors import InputError
 from vibrojax.periodic.derivatives import DERIVATIVE_REASONS, orbit_variables
 from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.return_map import Segments
-from vibrojax.scenes import SCENES
 
 BY = ("beta", "gamma")  # as `as_jax` below
 STEP = 1e-6
@@ -86,7 +84,7 @@ def orbit_at(scene, p, guess):
 
 def test_derivatives_near_grazing_are_marked_invalid():
     """The grazing margin of a striker that turns before the bit is linear in the gap. Its slope predicts the graze."""
-    scene, of = SCENES["vibro-impact"](), ("grazing_margin", "period")
+    scene, of = vj.SCENES["vibro-impact"](), ("grazing_margin", "period")
     p, guess = converged_lane(scene, {"beta": 0.4, "gamma": 0.75, "delta": 0.034})
     orbit = orbit_at(scene, p, guess)
     far = orbit.derivatives(of, ("delta",))
@@ -101,7 +99,7 @@ def test_derivatives_near_grazing_are_marked_invalid():
 @pytest.mark.long
 def test_derivatives_with_rock_agree_with_central_differences_of_orbits():
     values, by = {"beta": 0.4, "gamma": 0.6, "zeta": 0.5, "threshold": 1e5}, ("beta", "threshold")
-    scene = SCENES["drilling"]()
+    scene = vj.SCENES["drilling"]()
     p, guess = converged_lane(scene, values)
     of = ("rate_of_penetration", "relief", "deepest_gap", "impact_energy", "log_multiplier")
     whole = orbit_at(scene, p, guess)
@@ -116,8 +114,6 @@ def test_derivatives_with_rock_agree_with_central_differences_of_orbits():
 
 
 # One point
-
-
 DRILL = {"beta": 0.4, "gamma": 0.75, "v": 1.5, "delta": 0.005, "start": "stuck"}
 
 
@@ -145,7 +141,7 @@ def test_wrong_points_are_refused():
         ({"of": ["peroid"]}, 'of: the scene has no "peroid" to differentiate; did you mean "period"'),
         ({"beta": [0.4, 0.5]}, "beta: .* is not a number"),
     ):
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(vj.InputError, match=message):
             at_point(**given)
 
 

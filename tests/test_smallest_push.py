@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from refusals import refusal
+from systems import system
 
 import vibrojax as vj
 from vibrojax.explorer import contents_of
@@ -32,7 +33,7 @@ def run_after_pushes(cycle, state, pushes, **parameters):
     return vj.run_sweep(sweep | {"run": {"settle": 120.0, "end_early": False}}, progress=False)
 
 
-def test_variables_and_brackets(strong_cycle):
+def test_fine_scan_finds_no_smaller_push(strong_cycle):
     assert strong_cycle.push_x1.dims == ("sign",) and strong_cycle.sign.values.tolist() == [-1, 1]
     assert int(strong_cycle.regime) == SINGLE_IMPACT and strong_cycle.push_v2.attrs["units"] == "m s-1"
     assert all({"units", "long_name"} <= set(variable.attrs) for variable in strong_cycle.variables.values())
@@ -42,10 +43,7 @@ def test_variables_and_brackets(strong_cycle):
         push, bracket = strong_cycle[f"push_{name}"].values[has_push], strong_cycle[f"bracket_{name}"].values[has_push]
         assert (push > 0).all() and (push <= float(strong_cycle[f"bound_{name}"])).all()
         assert (bracket > 0).all() and (bracket <= 1e-3 * push).all()
-
-
-def test_fine_scan_finds_no_smaller_push(strong_cycle):
-    """Only a push of the bit against the drive leaves the cycle. Full runs three times as long return below it."""
+    # Only a push of the bit against the drive leaves the cycle. Full runs three times as long return below it.
     has_push = {name: np.isfinite(strong_cycle[f"push_{name}"].values).tolist() for name in STATES}
     assert has_push == {"x1": [False, True], "v1": [False] * 2, "x2": [False] * 2, "v2": [False] * 2}
     push, bracket = float(strong_cycle.push_x1[1]), float(strong_cycle.bracket_x1[1])
@@ -57,13 +55,8 @@ def test_fine_scan_finds_no_smaller_push(strong_cycle):
 
 def test_summary_of_system_of_your_own():
     """States have any names. A push of Van der Pol's oscillator returns unless it leads to the unstable equilibrium."""
-    oscillator = vj.System(
-        "van-der-pol",
-        states={"y": "m", "w": "m s-1"},
-        parameters={"mu": (1.0, "s-1")},
-        field=lambda t, y, p: {"y": y["w"], "w": p["mu"] * (1 - y["y"] ** 2) * y["w"] - y["y"]},
-        section="y",
-    )
+    field = lambda t, y, p: {"y": y["w"], "w": p["mu"] * (1 - y["y"] ** 2) * y["w"] - y["y"]}
+    oscillator = system({"y": "m", "w": "m s-1"}, field, parameters={"mu": (1.0, "s-1")}, section="y")
     pushed = vj.smallest_push(oscillator, start=[1.0, 1.0], scan=4, progress=False)
     [part] = Pushes().summary(pushed)
     assert part.lines[0] == "working cycle: periodic, 6.6633 s" and len(part.lines) == 5

@@ -85,14 +85,13 @@ def test_rare_changes_are_not_mistaken_for_certainty():
     assert unseen  # for some seeds
 
 
-def test_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_command_writes_draws_and_explains(here, capsys):
     table = {**STUDY, "samples": 8}
-    (tmp_path / "own.toml").write_text(read_source(table, "study").text)
+    (here / "own.toml").write_text(read_source(table, "study").text)
     assert main(["study", "own.toml", "--quiet"]) == 0
     with xr.open_dataset("own-study.nc") as ds:
         assert ds.attrs["kind"] == "study" and ds.attrs["samples"] == 8
-    assert (tmp_path / "own-study.png").read_bytes().startswith(b"\x89PNG") and not list(tmp_path.glob("*.chunks"))
+    assert (here / "own-study.png").read_bytes().startswith(b"\x89PNG") and not list(here.glob("*.chunks"))
     assert main(["study", "own.toml"]) == 0
     out = capsys.readouterr().out
     assert "is there already" in out and "impact energy:" in out
@@ -110,10 +109,8 @@ def test_command_writes_draws_and_explains(tmp_path, monkeypatch, capsys):
     [(-0.08, 1.06, True, (0.7, 0.67), ""), (0.2, 0.96, False, (0.2, 0.05), "their interaction causes 10 ± 5 % of the")],
 )
 def test_text_says_that_shares_beyond_their_range_end_there(first, total, is_beyond, second, claim):
-    """Few samples may estimate a share of the variance below 0 or above 1; the picture says the same.
-
-    An interaction has at most the smaller of the total shares, 10 %, and is claimed beyond its uncertainty only.
-    """
+    """Few samples may estimate a share of the variance below 0 or above 1; the picture says the same. An interaction
+    has at most the smaller of the total shares, 10 %, and is claimed beyond its uncertainty only."""
     table = {"first_order": first, "first_order_conf": 0.1, "total_order": total, "total_order_conf": 0.2, "effect": 1}
     values = {name: (("of", "parameter"), [[x, 0.1]]) for name, x in table.items()}
     pairs = zip(("second_order", "second_order_conf", "interaction"), (*second, np.nan), strict=True)

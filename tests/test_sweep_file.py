@@ -11,8 +11,6 @@ from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.errors import Place
-from vibrojax.io.dataset import open_dataset
-from vibrojax.io.writers import write_dataset
 from vibrojax.maps.read import read_point, read_sweep
 from vibrojax.settings.run_settings import RunSettings
 
@@ -85,13 +83,10 @@ def test_identity_depends_only_on_what_is_computed():
 
 
 # rpm with bit_radius replaces v = 2 pi rpm/60 bit_radius
-
 SPEED = 2 * pi * 120 / 60 * 0.1
 
 
 # bit_frequency replaces k1 = m1 (2 pi bit_frequency)², striker_frequency gamma = striker_frequency/bit_frequency
-
-
 @pytest.mark.parametrize(
     ("parameters", "grid", "k1", "gamma"),
     [
@@ -161,9 +156,6 @@ def test_datasets_are_converted_from_the_units_that_they_state():
     for starts in ([[2 * UNIT.m]], {"plane": {"x": {"start": 2 * UNIT.m, "stop": 3 * UNIT.m, "num": 2}}}):
         assert read_sweep({"scene": sliding, "starts": starts}).starts[0][0] == 2000.0
     assert read_point(Place("simulate"), sliding, {}, [2 * UNIT.m]).start == (2000.0,)
-
-
-def test_arrays_in_other_units_are_refused():
     for tables, line in (
         ({"grid": {"v": with_unit(xr.DataArray([0.8]), "kN")}}, 'sweep: grid.v: is in "kN"; a unit of m/s is needed'),
         ({"grid": {"v": [1 * UNIT.lightyear]}}, 'sweep: grid.v[0]: is in "ly"; a unit of m/s is needed'),
@@ -181,9 +173,6 @@ def test_points_file_is_relative_to_sweep_file(tmp_path):
     assert sweep.dims == ("point", "start") and sweep.shape == (2, 2) and not sweep.own_starts
     values, starts = sweep.lane_values(0, 4)
     assert values["gamma"].tolist() == [0.7, 0.7, 1.0, 1.0] and starts.tolist() == [0, 1, 0, 1]
-
-
-def test_start_column_replaces_starts():
     points = {"beta": [0.3, 0.4, 0.5], "start": ["stuck", "drive", "stuck"]}
     sweep = read_sweep({"scene": "vibro-impact", "points": points, "starts": ["touching"]})
     assert sweep.dims == ("point",) and sweep.shape == (3,) and list(sweep.starts) == points["start"]
@@ -193,7 +182,6 @@ def test_start_column_replaces_starts():
 
 
 # Samples of a box, planes of states and columns of points as starts
-
 BOX = {"x1": [-0.05, 0.05], "v1": [-2.0, 2.0], "x2": [-0.05, 0.05], "v2": [-3.0, 3.0]}
 STATES = ("x1", "v1", "x2", "v2")
 RUN = {"settle": 1.0, "observe": 1.0}
@@ -207,7 +195,7 @@ def sobol(count=64, **more):
     return {"sample": "sobol", "count": count, "seed": 0, "box": BOX} | more
 
 
-def test_sobol_sample_has_one_start_in_each_slice():
+def test_samples_and_planes_of_starts():
     """In one dimension, of 2^m points of the sequence one lies in each of 2^m slices (Sobol 1967)."""
     starts = read_starts(sobol()).starts
     low, high = np.array(list(BOX.values())).T
@@ -216,9 +204,6 @@ def test_sobol_sample_has_one_start_in_each_slice():
         assert sorted(column) == list(range(64))
     assert (read_starts(sobol(40)).starts.vectors == starts.vectors[:40]).all()
     assert (read_starts(sobol(seed=1)).starts.vectors != starts.vectors).all()
-
-
-def test_plane_is_row_major_in_given_order():
     plane = {"plane": {"v2": [0.5, 1.0], "x2": {"start": -0.01, "stop": 0.01, "num": 3}}, "at": {"v1": -1.5}}
     expected = [[0.0, -1.5, x2, v2] for v2 in (0.5, 1.0) for x2 in (-0.01, 0.0, 0.01)]
     np.testing.assert_allclose(read_starts(plane).starts.vectors, expected, rtol=0, atol=1e-17)
@@ -235,8 +220,8 @@ def test_sweep_over_sample_agrees_with_sweep_over_listed_vectors(tmp_path):
     for column, (name, unit) in enumerate(zip(STATES, ("m", "m s-1", "m", "m s-1"), strict=True)):
         np.testing.assert_array_equal(sampled[f"start_{name}"], np.array(vectors)[:, column])
         assert sampled[f"start_{name}"].attrs["units"] == unit
-    write_dataset(sampled, tmp_path / "starts.nc")
-    assert vj.picture(open_dataset(tmp_path / "starts.nc"))
+    vj.write_dataset(sampled, tmp_path / "starts.nc")
+    assert vj.picture(vj.open_dataset(tmp_path / "starts.nc"))
     again = vj.orbits(sampled, progress=False)  # from the sweep text in the dataset
     np.testing.assert_array_equal(again.start_x1, sampled.start_x1)
 

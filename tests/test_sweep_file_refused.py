@@ -1,7 +1,6 @@
 """Test that invalid sweep files give one line that names the file, the key and the value, and suggests a fix.
 
-VIBROJAX_FUZZ=100000 pytest tests/test_sweep_file_refused.py -k fuzzed searches longer.
-"""
+VIBROJAX_FUZZ=100000 pytest tests/test_sweep_file_refused.py -k fuzzed searches longer."""
 
 import os
 from pathlib import Path
@@ -13,9 +12,7 @@ from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.errors import InputError
 from vibrojax.maps.cost import check_size
-from vibrojax.maps.read import read_sweep
 
 GRID = {"beta": [0.4]}
 
@@ -34,7 +31,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
     (tmp_path / "p.csv").write_text(text)
     source = tmp_path / "map.toml"
     source.write_text('scene = "vibro-impact"\npoints = "p.csv"\n')
-    assert line in refusal(read_sweep, source).replace(str(tmp_path) + "/", "")
+    assert line in refusal(vj.read_sweep, source).replace(str(tmp_path) + "/", "")
 
 
 @pytest.mark.parametrize(
@@ -62,7 +59,7 @@ def test_wrong_points_are_refused(tmp_path, text, line):
 def test_wrong_input_is_refused(changes, line):
     tables = {"scene": "vibro-impact", "grid": GRID} | changes
     dropped = [key for key in ("scene", "grid") if tables[key] is None]
-    assert line in refusal(read_sweep, {key: value for key, value in tables.items() if key not in dropped})
+    assert line in refusal(vj.read_sweep, {key: value for key, value in tables.items() if key not in dropped})
 
 
 @pytest.mark.parametrize(
@@ -75,23 +72,23 @@ def test_wrong_input_is_refused(changes, line):
 def test_files_that_are_not_toml_are_refused(tmp_path, content, line):
     path = tmp_path / "map.toml"
     path.write_bytes(content)
-    assert line in refusal(read_sweep, path)
+    assert line in refusal(vj.read_sweep, path)
 
 
 def test_missing_files_are_refused(tmp_path):
     (tmp_path / "map.toml").write_text("")
     line = 'mpa.toml: no such file; give the path of one that is there (did you mean "map.toml"?)'
-    assert line in refusal(read_sweep, tmp_path / "mpa.toml")
-    assert "is a folder; give the path of a file" in refusal(read_sweep, tmp_path)
-    assert "cannot be read" in refusal(read_sweep, "a\0.toml")
-    assert refusal(read_sweep, 3) == "sweep: 3 is not a sweep; give a path, a bundled name or a dict"
+    assert line in refusal(vj.read_sweep, tmp_path / "mpa.toml")
+    assert "is a folder; give the path of a file" in refusal(vj.read_sweep, tmp_path)
+    assert "cannot be read" in refusal(vj.read_sweep, "a\0.toml")
+    assert refusal(vj.read_sweep, 3) == "sweep: 3 is not a sweep; give a path, a bundled name or a dict"
 
 
 @pytest.mark.parametrize(("run", "least"), [({}, 1e-12), ({"method": "smoothed"}, 3.2e-5)])
 def test_smallest_accepted_error(run, least):
     sweep = {"scene": "rotary", "grid": {"gamma": [0.5]}, "run": run | {"error": least}}
     assert vj.read_sweep(sweep).run.error == least
-    with pytest.raises(InputError, match=r"run\.error: .* cannot be reached"):
+    with pytest.raises(vj.InputError, match=r"run\.error: .* cannot be reached"):
         vj.read_sweep(sweep | {"run": run | {"error": 0.9 * least}})
 
 
@@ -105,7 +102,7 @@ def test_smallest_accepted_error_is_reached():
     ("setting", "method"), [({"error": 1e-13}, "located"), ({"error": 1e-5, "solver": "Tsit5"}, "diffrax")]
 )
 def test_simulate_refuses_unreachable_error(setting, method):
-    with pytest.raises(InputError, match=f'simulate: error: .* cannot be reached; method "{method}" reaches'):
+    with pytest.raises(vj.InputError, match=f'simulate: error: .* cannot be reached; method "{method}" reaches'):
         vj.simulate("rotary", duration=0.1, progress=False, **setting)
 
 
@@ -121,9 +118,6 @@ def test_parameters_become_fixed_values_or_axes():
     assert sweep.parameters["k1"] == 312500 and sweep.parameters["v"] == 2.0 and sweep.parameters["beta"] == 0.5
     assert sweep.friction == "coulomb" and list(sweep.axes) == ["gamma", "delta"] and len(sweep.axes["delta"]) == 3
     assert list(changed("k1=[2e5, 3e5]").axes) == ["beta", "gamma", "k1"]
-
-
-def test_objects_are_kept():
     law = vj.FRICTION_LAWS["coulomb"]
     sweep = vj.read_sweep({**BASE, "parameters": {"friction": law}}, ["v=2"])
     assert sweep.system.friction is law and 'friction = "coulomb"' in sweep.text
@@ -139,8 +133,7 @@ def test_bad_words_are_refused():
         assert line in refusal(changed, word)
 
 
-def test_command(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_command(here, capsys):
     words = ["run.settle=0.5", "observe=0.5", "beta=0.4", "gamma=[0.6,0.7]", "delta=0.005"]
     words = [part for word in words for part in ("--set", word)]
     assert main(["sweep", "regime-map", "--dry-run", *words]) == 0
@@ -178,7 +171,6 @@ def test_values_that_determine_no_parameter_are_refused():
 
 
 # Any sweep file, dict or CSV ends in a sweep or in a one-line error
-
 SWEEPS = [path.read_text(encoding="utf-8") for path in sorted((Path(__file__).parents[1] / "sweeps").glob("*.toml"))]
 fuzzed = settings(
     max_examples=int(os.environ.get("VIBROJAX_FUZZ", 40)),
@@ -226,12 +218,12 @@ TABLES = st.fixed_dictionaries(
 def check_reading_ends(source) -> None:
     """Check that reading gives a usable sweep or a one-line error."""
     try:
-        sweep = read_sweep(source)
+        sweep = vj.read_sweep(source)
         assert sweep.lanes >= 1 and sweep.dims and sweep.identity()
         values, starts = sweep.lane_values(sweep.lanes - 1, sweep.lanes)
         assert set(values) == set(sweep.system.parameters()) and starts.shape == (1,)
         check_size(sweep)
-    except InputError as error:
+    except vj.InputError as error:
         assert str(error) and "\n" not in str(error)
 
 

@@ -46,7 +46,7 @@ def test_relay_slides_by_filippov_convention():
 
 
 def test_section_can_lie_at_value_and_regimes_can_be_renamed():
-    rate = lambda t, y, p: p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]  # noqa: E731
+    rate = lambda t, y, p: p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]
     ticking = mass(rate, parameters={"mu": 0.5}, section=("x", 0.5), regimes={"periodic": "ticking"})
     motion = vj.simulate(ticking, start=[0.1, 0.0], progress=False)
     assert names_of(motion) == ["ticking"]
@@ -61,8 +61,7 @@ def test_section_can_lie_at_value_and_regimes_can_be_renamed():
 def test_other_processes_import_system_from_its_module():
     assert pickle.loads(pickle.dumps(systems.BALL)) is systems.BALL
     alone = systems.one_state(lambda t, y, p: -y["x"], parameters={"k": 1.0}, section="x")
-    with pytest.raises(vj.InputError, match="top level of a file"):
-        pickle.dumps(alone)
+    assert "top level of a file" in refusal(pickle.dumps, alone)
 
 
 GOOD = {
@@ -72,7 +71,7 @@ GOOD = {
     "section": "x",
 }
 RUB = {"normal": lambda t, y, p: 1.0, "law": 0.2, "acts_on": "v"}
-FORCED = lambda t, y, p: {"x": y["v"], "v": cos(t)}  # noqa: E731
+FORCED = lambda t, y, p: {"x": y["v"], "v": cos(t)}
 MISTAKES = {
     "is not a state": {"section": "z"},
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
@@ -92,16 +91,12 @@ MISTAKES = {
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
     "decides by a value": {"field": lambda t, y, p: {"x": y["v"], "v": -max(y["x"], 0.0)}},
     'did you mean "coulomb"?': {"events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": "coulumb"})]},
-    "event belt: mass is 0; it must be above zero": {
-        "events": [vj.Friction("belt", lambda t, y, p: y["v"], mass=0.0, **RUB)]
-    },
+    "belt: mass is 0; it must be above": {"events": [vj.Friction("belt", lambda t, y, p: y["v"], mass=0.0, **RUB)]},
     "cannot see the discrete state heating": {"modes": {"heating": 1}},
     "put a vj.Switch on it": {"field": lambda t, y, p: {"x": y["v"], "v": -(y["v"] > 0) * 1.0}},
     "the velocity on which it acts": {"events": [vj.Friction("belt", lambda t, y, p: y["x"], **RUB)]},
     "would drive it; change the sign": {"events": [vj.Friction("belt", lambda t, y, p: 0.5 - y["v"], **RUB)]},
-    "floor of a value that depends on states": {
-        "field": lambda t, y, p: {"x": y["v"], "v": vj.elementary.floor(y["x"])}
-    },
+    "floor of a value that depends on": {"field": lambda t, y, p: {"x": y["v"], "v": vj.elementary.floor(y["x"])}},
     "a and b have the same surface": {
         "field": lambda t, y, p, s: {"x": y["v"], "v": s["a"] - 2 * s["b"]},
         "events": [vj.Switch("a", lambda t, y, p: y["x"]), vj.Switch("b", lambda t, y, p: -2 * y["x"])],
@@ -133,40 +128,33 @@ def test_mistake_in_system_gives_one_line(message):
     assert text.startswith("system wrong: ") and message in text and len(text) < 220
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-10, 1e9])
+@pytest.mark.parametrize("unit", [1e-10, 1e9])
 def test_structure_does_not_depend_on_units(unit):
     """Two coupled relays slide on both surfaces, to their intersection. A weak forcing without a period moves x."""
-    relays = vj.System(
-        "relays",
-        states={"x": "m", "y": "m"},
-        parameters={"a": unit},
-        field=lambda t, y, p, s: {"x": -p["a"] * (s["p"] + 0.5 * s["q"]), "y": p["a"] * (0.4 * s["p"] - s["q"])},
-        section="x",
-        events=[
-            vj.Switch("p", lambda t, y, p: y["x"] + 0.3 * y["y"]),
-            vj.Switch("q", lambda t, y, p: y["y"] - 0.2 * y["x"] + 0.1 * p["a"]),
-        ],
-    )
+    field = lambda t, y, p, s: {"x": -p["a"] * (s["p"] + 0.5 * s["q"]), "y": p["a"] * (0.4 * s["p"] - s["q"])}
+    first = vj.Switch("p", lambda t, y, p: y["x"] + 0.3 * y["y"])
+    second = vj.Switch("q", lambda t, y, p: y["y"] - 0.2 * y["x"] + 0.1 * p["a"])
+    relays = systems.system("xy", field, first, second, parameters={"a": unit}, section="x")
     assert np.array(ends(relays, [0.5 * unit, 0.8 * unit], 5.0)) / unit == pytest.approx([0.03 / 1.06, -0.1 / 1.06])
     forced = mass(lambda t, y, p: p["a"] * cos(3 * t) - y["x"], parameters={"a": unit}, section=None)
     assert ends(forced, [0.0, 0.0], 2.0)[0] / unit == pytest.approx((np.cos(2.0) - np.cos(6.0)) / 8, rel=1e-7)
 
 
-def test_start_beyond_stop_fails_with_reason():
+def test_lanes_that_cannot_be_run_fail_with_reason():
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert names_of(ds) == ["failed"] * 2 and names_of(ds, "reason") == ["beyond-a-stop"] * 2
     assert "Lanes failed: beyond-a-stop" in vj.picture(ds).get_supxlabel()
     bounces = vj.run_sweep({"scene": BALL, "grid": {"r": [0.5, 1.01]}, "starts": [[1.0, 0.0]]}, progress=False)
     assert names_of(bounces, "reason") == ["none", "restitution-not-0-to-1"] and names_of(bounces)[1] == "failed"
-
-
-def test_mass_that_is_not_positive_fails_with_reason():
     base = vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: 1.0, 0.3, "v", mass=lambda p: p["m"])
     block = mass(lambda t, y, p: (cos(t) - y["x"]) / p["m"], base, parameters={"m": 1.0}, period=2 * np.pi)
     ds = vj.run_sweep({"scene": block, "grid": {"m": [1.0, -1.0]}, "run": {"settle": 1.0}}, progress=False)
     assert names_of(ds, "reason") == ["none", "mass-not-above-zero"] and names_of(ds)[1] == "failed"
-    with pytest.raises(vj.InputError, match=r"the mass of base is -1; it must be above 0"):
-        vj.simulate(block, m=-1.0, progress=False)
+    assert "the mass of base is -1; it must be above 0" in refusal(vj.simulate, block, m=-1.0, progress=False)
+    ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"w": [2.0, 0.0, -2.0]}}, progress=False)
+    assert names_of(ds, "reason") == ["none", *["period-not-above-zero"] * 2]
+    with pytest.raises(vj.InputError, match=r"the period of the forcing is -3.14159 s; it must be above 0"):
+        vj.simulate(IMPACT_OSCILLATOR, w=-2.0, progress=False)
 
 
 def test_friction_that_drives_for_some_parameters_fails_with_reason():
@@ -187,31 +175,21 @@ def test_friction_that_drives_for_some_parameters_fails_with_reason():
         vj.simulate(weak, mu=0.5, progress=False)
 
 
-def test_period_that_is_not_above_zero_fails_with_reason():
-    ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"w": [2.0, 0.0, -2.0]}}, progress=False)
-    assert names_of(ds, "reason") == ["none", *["period-not-above-zero"] * 2]
-    with pytest.raises(vj.InputError, match=r"the period of the forcing is -3.14159 s; it must be above 0"):
-        vj.simulate(IMPACT_OSCILLATOR, w=-2.0, progress=False)
-
-
 def test_trajectory_that_grows_without_bound_warns():
     """The solution of x'' = 6 x² from x = 1, x' = 2 is 1/(1 - t)²."""
-    field = lambda t, y, p: {"x": y["v"], "v": 6 * y["x"] * y["x"]}  # noqa: E731
+    field = lambda t, y, p: {"x": y["v"], "v": 6 * y["x"] * y["x"]}
     grows = vj.System("grows", states={"x": "m", "v": "m s-1"}, parameters={"a": 1.0}, field=field, section="v")
     with pytest.warns(UserWarning, match=r"grows is not finite after t = (0\.99|1 s)"):
         vj.simulate(grows, start=[1.0, 2.0], duration=2.0, progress=False)
 
 
-def test_start_within_rounding_of_a_stop_is_on_it():
+def test_start_is_on_a_stop_or_refused():
     """The gap is -5.6e-17. The mass rebounds at once; its free motion is known. A slightly greater gap is refused."""
     free = {"a": 0.0, "damping": 0.0, "stop": 0.3}
     x, v = ends(IMPACT_OSCILLATOR, [0.1 + 0.2, 0.5], 2.0, **free)
     assert [x, v] == pytest.approx([0.3 * np.cos(2) - 0.35 * np.sin(2), -0.3 * np.sin(2) - 0.35 * np.cos(2)], abs=1e-8)
     with pytest.raises(vj.InputError, match="must not be negative"):
         vj.simulate(IMPACT_OSCILLATOR, start=[0.3 + 1e-13, 0.5], progress=False, **free)
-
-
-def test_invalid_start_gives_one_line():
     with pytest.raises(vj.InputError, match=r"start: \[1.5, 0.0\]: the gap of stop_hit is -0.5; it must not be neg"):
         vj.simulate(IMPACT_OSCILLATOR, start=[1.5, 0.0], progress=False)
     with pytest.raises(vj.InputError, match=r"omega: scene .* has no such parameter; choose from"):
@@ -225,7 +203,7 @@ def test_invalid_start_gives_one_line():
 
 def test_amplitudes_do_not_depend_on_steps():
     """x' = cos(w t) - x swings by 1/sqrt(1 + w²). No state is the rate of x, so no step ends at its turns."""
-    period = lambda p: 2 * np.pi / p["w"]  # noqa: E731
+    period = lambda p: 2 * np.pi / p["w"]
     lag = systems.one_state(lambda t, y, p: cos(p["w"] * t) - y["x"], parameters={"w": 3.0}, period=period)
     ds = vj.run_sweep({"scene": lag, "grid": {"w": [1.0, 3.0]}, "run": {"keep_returns": 4}}, progress=False)
     exact = 1 / np.sqrt(1 + ds.w.values**2)
@@ -245,14 +223,8 @@ def test_parameters_have_units_of_pint(tmp_path):
 
 
 def test_default_times_follow_slowest_oscillation():
-    slow, fast = lambda y, p: -(p["slow"] ** 2) * y["x"], lambda y, p: -(p["fast"] ** 2) * y["z"]
-    pair = vj.System(
-        "pair",
-        states={"x": "m", "v": "m s-1", "z": "m", "w": "m s-1"},
-        parameters={"slow": 1.0, "fast": 10.0},
-        field=lambda t, y, p: {"x": y["v"], "v": slow(y, p), "z": y["w"], "w": fast(y, p)},
-        section="x",
-    )
+    field = lambda t, y, p: {"x": y["v"], "v": -(p["slow"] ** 2) * y["x"], "z": y["w"], "w": -(p["fast"] ** 2) * y["z"]}
+    pair = systems.system("xvzw", field, parameters={"slow": 1.0, "fast": 10.0}, section="x")
     assert pair.usual_times == pytest.approx((200 * np.pi, 80 * np.pi), rel=0.02)
 
 
@@ -296,7 +268,7 @@ def test_periods_and_multiplier_of_van_der_pol():
     assert (difference <= 3 * ds.error_estimate.values.ravel() * right).all()
     np.testing.assert_allclose(ds.period.values.ravel(), right, rtol=1e-9)
     # The multiplier of a planar orbit is the exponential of the integral of the field's divergence.
-    rates = lambda t, y: [y[1], (1 - y[0] ** 2) * y[1] - y[0], 1 - y[0] ** 2]  # noqa: E731
+    rates = lambda t, y: [y[1], (1 - y[0] ** 2) * y[1] - y[0], 1 - y[0] ** 2]
     settled = solve_ivp(rates, (0.0, 10 * AT_ONE), [2.0, 0.0, 0.0], rtol=1e-12, atol=1e-14, method="DOP853").y[:2, -1]
     exponent = solve_ivp(rates, (0.0, AT_ONE), [*settled, 0.0], rtol=1e-12, atol=1e-14, method="DOP853").y[2, -1]
     assert exponent == pytest.approx(-7.0589, abs=1e-3)
@@ -312,3 +284,58 @@ def test_resting_ball_leaves_table_that_falls_faster():
     flying = motion.time.values[gap > 1e-7]
     assert flying[0] == pytest.approx(leaves, abs=2e-2) and flying[0] > leaves
     assert np.abs(gap[motion.time.values < leaves]).max() < 1e-10  # accumulated errors of the steps
+
+
+DAMPING, RATE, DECAY, PERIOD = 0.2, 0.7, 0.05, np.pi
+OSCILLATOR = {"x": "m", "v": "m s-1"}
+
+
+def oscillation(t, y):
+    return {"x": y["v"], "v": vj.elementary.cos(2.0 * t) - DAMPING * y["v"] - y["x"]}
+
+
+# z decays, and w approaches an equilibrium; some starts have w there at once.
+BESIDE = vj.System(
+    "beside",
+    states={"z": "m", "w": "1"} | OSCILLATOR,
+    parameters={"q": 0.3},
+    field=lambda t, y, p: oscillation(t, y) | {"z": -DECAY * y["z"], "w": p["q"] - RATE * y["w"]},
+    period=PERIOD,
+)
+
+
+def test_states_that_stand_still_or_decay_do_not_decide():
+    starts = [[1.0, 3 / 7, 0.0, 0.0], [1.0, 0.0, 0.3, 1.0], [0.0] * 4]
+    sweep = {"scene": BESIDE, "grid": {"q": [0.3]}, "starts": starts, "run": {"orbits": True}}
+    ds = vj.run_sweep(sweep, progress=False)
+    assert ds.cycles.values.ravel().tolist() == [1, 1, 1] and set(names_of(ds)) == {"periodic"}
+    assert (ds.error_estimate < 2e-6).all() and (ds.orbit_reason == 0).all() and (ds.stable == 1).all()
+    own = np.exp(-PERIOD * np.array([DECAY, DAMPING / 2, DAMPING / 2, RATE]))
+    np.testing.assert_allclose(ds.multiplier_abs.values[0], np.tile(own, (3, 1)), atol=1e-9)
+    np.testing.assert_allclose(ds.orbit_w, 3 / 7, rtol=1e-9)
+
+
+def pendulum(name, *events):
+    return vj.System(
+        name,
+        states={"angle": "rad", "speed": "rad s-1"},
+        parameters={"w": 1.5, "L": (2.0, "m")},
+        field=lambda t, y, p, s: {
+            "angle": y["speed"],
+            "speed": 0.5 * vj.elementary.cos(p["w"] * t) - 0.1 * y["speed"] - vj.elementary.sin(y["angle"]),
+        },
+        period=lambda p: 2 * np.pi / p["w"],
+        events=events,
+    )
+
+
+@pytest.mark.parametrize(
+    "unit, events",
+    [
+        ("rad s-1", [vj.Impact("stop", gap=lambda t, y, p: 0.3 - y["angle"], velocity="speed", restitution=0.6)]),
+        ("rad s-1", [vj.Switch("stop", lambda t, y, p: p["L"] * y["angle"] - 0.3, impact=True)]),
+        ("rad s-2", [vj.Switch("stop", lambda t, y, p: y["speed"] - 0.3, impact=True)]),
+    ],
+)
+def test_impact_velocity_has_unit_of_rate_of_gap(unit, events):
+    assert pendulum("unit", *events).impact_unit == unit

@@ -44,6 +44,14 @@ def test_lanes_agree_with_single_machines(box):
         for name in ("period", "impact_velocity"):
             lane = float(box[name].isel(sample=sample, start=0))
             assert lane == pytest.approx(float(alone[name].item()), rel=1e-9), name
+    for name in (name for name in QUANTITIES if name in box):
+        lane = box[name].isel(start=0)
+        for word, extreme in (("least", lane.min()), ("most", lane.max())):
+            assert float(box[f"{name}_{word}"][0]) == float(extreme)
+            assert float(lane[int(box[f"{name}_{word}_sample"][0])]) == float(extreme)
+    np.testing.assert_allclose(box.regime_share.sum("label"), 1.0)
+    assert float(box.regime_share.sel(label="single-impact")[0]) == float(box.regime_kept[0]) == 1.0
+    assert float(box.irregular_share[0]) == 0.0 and "not bounds of the box" in box.attrs["extremes"]
 
 
 def test_tolerances_are_pairs_of_any_library(box):
@@ -53,17 +61,6 @@ def test_tolerances_are_pairs_of_any_library(box):
         xr.testing.assert_allclose(vj.tolerance("vibro-impact", **MACHINE | pairs, run=RUN, progress=False), box)
     with pytest.raises(vj.InputError, match='delta: is in "s"; a unit of m is needed'):
         vj.tolerance("vibro-impact", **MACHINE | {"delta": stated.assign_attrs(units="s")}, run=RUN, progress=False)
-
-
-def test_extremes_and_shares(box):
-    for name in (name for name in QUANTITIES if name in box):
-        lane = box[name].isel(start=0)
-        for word, extreme in (("least", lane.min()), ("most", lane.max())):
-            assert float(box[f"{name}_{word}"][0]) == float(extreme)
-            assert float(lane[int(box[f"{name}_{word}_sample"][0])]) == float(extreme)
-    np.testing.assert_allclose(box.regime_share.sum("label"), 1.0)
-    assert float(box.regime_share.sel(label="single-impact")[0]) == float(box.regime_kept[0]) == 1.0
-    assert float(box.irregular_share[0]) == 0.0 and "not bounds of the box" in box.attrs["extremes"]
 
 
 def closed_form(units):
@@ -124,7 +121,6 @@ def test_scene_without_regimes_and_settings_of_runs_are_refused():
         "beta=1+-.1 gamma=1+-.1 v=1+-.1 g=9+-.1 c2=9+-.1 mu=1+-.1 m1=99+-.1": "7 parameters have a tolerance",
     }.items(),
 )  # fmt: skip
-def test_invalid_input_gives_one_line(words, line, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_invalid_input_gives_one_line(words, line, here, capsys):
     assert line in command_refusal(capsys, "tolerance", "vibro-impact", *words.split())
-    assert not list(tmp_path.iterdir())
+    assert not list(here.iterdir())

@@ -12,8 +12,6 @@ from refusals import command_refusal
 
 import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.errors import InputError
-from vibrojax.maps.read import read_sweep
 from vibrojax.maps.run import run_to_file
 
 SPAWN = multiprocessing.get_context("spawn")
@@ -62,7 +60,7 @@ def test_zarr_output(file, expected):
     pytest.importorskip("zarr")
     out = file.with_name("out.zarr")
     for _ in range(2):  # the second run replaces the first
-        dataset = run_to_file(read_sweep(file), out, progress=False)
+        dataset = run_to_file(vj.read_sweep(file), out, progress=False)
         assert_same(dataset, expected)
     assert {path.name for path in file.parent.iterdir()} == {"map.toml", "out.zarr"}
 
@@ -108,18 +106,13 @@ def test_workers_of_unknown_machines_use_one_core(file):
     assert executor.threads == {1}
 
 
-def test_executor_of_forked_processes_is_refused(file):
+def test_executor_of_forked_processes_is_refused(file, tmp_path):
     executor = ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork"))
-    with pytest.raises(InputError, match="its processes are forked, and jax hangs in such; make it with mp_context"):
+    with pytest.raises(vj.InputError, match="its processes are forked, and jax hangs in such; make it with mp_context"):
         vj.run_sweep(file, progress=False, executor=executor)
-
-
-def test_unpicklable_physics_is_refused(tmp_path):
-    law = vj.FrictionLaw(
-        name="mine", reference="", parameters=vj.parameters.table(), mu=lambda speed, p: 0.3 - 0.1 * speed
-    )
+    law = vj.FrictionLaw(name="mine", reference="", parameters=vj.parameters.table(), mu=lambda u, p: 0.3 - 0.1 * u)
     sweep = {"scene": "vibro-impact", "parameters": {"friction": law}, "grid": {"beta": [0.4]}}
-    with ThreadPoolExecutor(1) as executor, pytest.raises(InputError, match="cannot be sent to other processes"):
+    with ThreadPoolExecutor(1) as executor, pytest.raises(vj.InputError, match="cannot be sent to other processes"):
         vj.run_sweep(sweep, progress=False, executor=executor)
 
 

@@ -60,13 +60,12 @@ def test_interrupt_cancels_jobs(slurm, tmp_path):
         time.sleep(0.05)
 
 
-def test_job_folder_writable_by_others_is_refused(slurm, tmp_path, monkeypatch, capsys):
+def test_job_folder_writable_by_others_is_refused(slurm, here, monkeypatch, capsys):
     """Jobs unpickle the files in the folder, so a file from someone else would run code."""
-    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", f"{here / 'bin'}:{os.environ['PATH']}")
     Path("out.nc.jobs").mkdir()
     Path("out.nc.jobs").chmod(0o777)
     assert main(["sweep", "map.toml", "-o", "out.nc", "--workers", "slurm:2", "--quiet"]) == 2
     messages = capsys.readouterr().err
     assert "others can write to it, and could run code in the jobs; remove it" in messages and messages.count("\n") == 1
-    assert not list(tmp_path.glob("bin/jobs/*"))
+    assert not list(here.glob("bin/jobs/*"))

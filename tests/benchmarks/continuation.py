@@ -57,11 +57,7 @@ def reactions() -> Any:
         heat = (q + x) / (p["D"] * (1 - x))
         warm = E.log(heat)
         rise = -2.55 * warm + 8 * p["D"] * heat * ((1 - x) + 0.04 * z)
-        return {
-            "x": q,
-            "z": -z + p["D"] * heat * ((1 - x) - 0.04 * z),
-            "q": -q + p["D"] * heat * (-q + (1 - x) * rise),
-        }
+        return {"x": q, "z": -z + p["D"] * heat * ((1 - x) - 0.04 * z), "q": -q + p["D"] * heat * (-q + (1 - x) * rise)}
 
     return system("abc", "x z q", {"D": 0.15}, field, section="q")
 
@@ -277,11 +273,7 @@ DEMOS: dict[str, Demo] = {
         lambda s: cycles_of(s, "alpha", 5.0, (4.0, 9.0), [1.5, 0.0, -1.5]),
         [("hopf", 6.80443, 1e-3), ("period-doubling", 8.196, 1e-4)],
     ),
-    "lrz": (
-        lorenz,
-        lambda s: cycles_of(s, "rho", 20.0, (13.0, 30.0), [7.1, 7.1, 19.0]),
-        [("hopf", 470 / 19, 1e-9)],
-    ),
+    "lrz": (lorenz, lambda s: cycles_of(s, "rho", 20.0, (13.0, 30.0), [7.1, 7.1, 19.0]), [("hopf", 470 / 19, 1e-9)]),
     "frc": (forced_nerve, forced_orbits, []),
     "pen": (
         pendula,

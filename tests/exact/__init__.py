@@ -13,7 +13,7 @@ Equations and readings (R1, R2, ...) are numbered as in the model. Measures foll
 
 from exact.measures import measure
 from exact.motion import Motion, run
-from exact.pulses import Pulses
+from exact.parameters import Pulses
 from exact.scenes import SCENES
 
 __all__ = ["SCENES", "Motion", "Pulses", "measure", "run"]

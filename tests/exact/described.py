@@ -1,8 +1,7 @@
 """Hybrid systems described as data: sums of products of names, and the events that refer to them.
 
 An expression is a tuple of pairs (number, names). `((-1.0, "k x"), (0.5, "a cos"))` is -k x + 0.5 a cos(omega t). Names
-are states, parameters, switches (their side, 1 or -1), `cos` and `sin`. The phase of both is omega t.
-"""
+are states, parameters, switches (their side, 1 or -1), `cos` and `sin`. The phase of both is omega t."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

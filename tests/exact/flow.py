@@ -2,8 +2,7 @@
 
 The linear part is solved directly, once per mode and step length. Only the friction force or a given force remains, and
 is iterated to its fixed point. Step lengths are powers of two. A step is halved until the last coefficients of its
-polynomial are at the rounding level of the state's largest size so far.
-"""
+polynomial are at the rounding level of the state's largest size so far."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,12 +17,10 @@ SHORTEST = 2.0**-60
 
 @dataclass
 class Mode:
-    """One mode: its equations, and the linear forms that stay positive while it lasts.
-
-    `A` [d, d] acts on the state, whose last entry is 1. `force(t, Y)` is the only nonlinear force (None: there is
-    none), and `G` [d] the acceleration per newton of it. `velocities` [d] marks the entries that are rates. `surfaces`
-    [s, d] are the linear forms, and `names` the events at which they fall through zero.
-    """
+    """One mode: its equations, and the linear forms that stay positive while it lasts. `A` [d, d] acts on the state,
+    whose last entry is 1. `force(t, Y)` is the only nonlinear force (None: there is none), and `G` [d] the acceleration
+    per newton of it. `velocities` [d] marks the entries that are rates. `surfaces` [s, d] are the linear forms, and
+    `names` the events at which they fall through zero."""
 
     A: np.ndarray
     G: np.ndarray

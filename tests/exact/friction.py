@@ -1,7 +1,6 @@
 """The friction laws (model, section 3; eqs. 2.13 to 2.17 and 5.9) as formulas of the sliding speed w = |u|, w > 0.
 
-A step across w = 0 evaluates them at slightly negative w, where they continue smoothly.
-"""
+A step across w = 0 evaluates them at slightly negative w, where they continue smoothly."""
 
 import numpy as np
 

@@ -47,10 +47,8 @@ class Doubtful(Exception):
 
 @dataclass
 class Motion:
-    """A motion: states at the given times (NaN after the doubtful point), and its events.
-
-    `events`: tuples of time, name, kind and speed, with NaN for events without one. `doubt`: time and reason.
-    """
+    """A motion: states at the given times (NaN after the doubtful point), and its events. `events`: tuples of time,
+    name, kind and speed, with NaN for events without one. `doubt`: time and reason."""
 
     times: np.ndarray
     states: np.ndarray
@@ -68,10 +66,7 @@ class Hybrid:
         self.noise = np.array([TOUCH if isinstance(event, Stop) else NOISE for event in self.events])
         p = {"omega": 1.0} | dict(p)
         split = [
-            [
-                tuple(term for term in system.field[state] if _side(term, system.switches) == side)
-                for state in system.states
-            ]
+            [tuple(x for x in system.field[state] if _side(x, system.switches) == side) for state in system.states]
             for side in ("", *system.switches)
         ]
         sides = ("", *system.switches)
@@ -153,9 +148,7 @@ class Hybrid:
         """Return a number per event that is positive while the mode lasts."""
         values = self.values(t, y)[0]
         slacks = {} if all(mode) else self.motion(mode, t, y)[2]
-        return np.array(
-            [side * value if side else slacks[i] for i, (side, value) in enumerate(zip(mode, values, strict=True))]
-        )
+        return np.array([s * x if s else slacks[i] for i, (s, x) in enumerate(zip(mode, values, strict=True))])
 
     def determine(self, t: float, y: np.ndarray, forced: Mapping[int, int]) -> tuple[int, ...]:
         """Return the mode in which a motion continues; `forced`: the side to which a held motion departs, by event."""
@@ -277,10 +270,8 @@ class Hybrid:
         return result
 
     def _segment(self, t0, y0, mode, times, filled, states):
-        """Integrate one mode. Return the number of filled samples, and time, state and event at the end.
-
-        The time x counts from the begin of the mode, so that short flights between bounces are resolved.
-        """
+        """Integrate one mode. Return the number of filled samples, and time, state and event at the end. The time x
+        counts from the begin of the mode, so that short flights between bounces are resolved."""
 
         def rhs(x, y):
             return self.motion(mode, t0 + x, y)[0]
@@ -399,9 +390,7 @@ def _widest(A, b, low, high):
     if len(b) > 1:
         limits = np.vstack([np.c_[-np.eye(n), np.ones(n)], np.c_[np.eye(n), np.ones(n)][finite]])
         equations = np.c_[A, np.zeros(len(b))]
-        best = linprog(
-            [0.0] * n + [-1.0], limits, [*-low, *high[finite]], equations, b, bounds=[(None, None)] * (n + 1)
-        )
+        best = linprog([0.0] * n + [-1.0], limits, [*-low, *high[finite]], equations, b, bounds=[(None,) * 2] * (n + 1))
         return best.x[:-1], np.full(n, best.x[-1])
     a, b = A[0], b[0]
     if not finite.all() and a[~finite][0] < 0:

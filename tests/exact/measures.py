@@ -106,9 +106,7 @@ def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
         parts = (piece.between(begin, end) for piece in motion.pieces if piece.phase.bit == bit)
         return sum(part.end - part.begin for part in parts if part) / time
 
-    def mean(function):
-        return total(motion, begin, end, function) / time
-
+    mean = lambda function: total(motion, begin, end, function) / time
     w = 2 * math.pi * returns / time
     tones = mean(lambda part, t, Y: Y[:, [0, 2]] * np.exp(-1j * w * (t[:, None] - begin)))
     turns = sum(begin < t <= end for piece in motion.pieces for t in instants(motion, piece, row["v2"]))

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from exact.flow import swung
-from exact.parameters import parameters
+from exact.parameters import Pulses, parameters
 from exact.polynomials import GAUSS, WEIGHTS, N, first_fall
-from exact.pulses import Pulses
 from exact.scenes import Phase, Scene
 
 MOST_AT_ONCE = 50
@@ -19,10 +18,8 @@ MOST_AT_ONCE = 50
 
 @dataclass
 class Piece:
-    """A part of a motion in one phase.
-
-    It lasts from `begin` to `end`, and `c` [N + 1, d] are its coefficients over [origin, origin + h].
-    """
+    """A part of a motion in one phase. It lasts from `begin` to `end`, and `c` [N + 1, d] are its coefficients over
+    [origin, origin + h]."""
 
     begin: float
     end: float
@@ -63,10 +60,8 @@ class Event(NamedTuple):
 
 @dataclass
 class Motion:
-    """The pieces of a motion from `observed` on (all, if it is 0), and the events among them.
-
-    `swing` [d] is the largest size of each entry so far, but at least its reference size.
-    """
+    """The pieces of a motion from `observed` on (all, if it is 0), and the events among them. `swing` [d] is the
+    largest size of each entry so far, but at least its reference size."""
 
     scene: Scene
     observed: float
@@ -94,11 +89,8 @@ class Motion:
 
 
 def initial(scene: Scene, start) -> np.ndarray:
-    """Return the initial state.
-
-    `start` is a name (R5, R13) or a vector [x1, x1', x2, x2'], with rock [..., x3 - x4, x3']. Otherwise the rock begins
-    at rest at zero. Without a drill, it is [x3 - x4, x3'].
-    """
+    """Return the initial state. `start` is a name (R5, R13) or a vector [x1, x1', x2, x2'], with rock [..., x3 - x4,
+    x3']. Otherwise the rock begins at rest at zero. Without a drill, it is [x3 - x4, x3']."""
     y = np.zeros(len(scene.entries))
     y[-1] = 1.0
     if scene.drill:

@@ -18,11 +18,8 @@ def returns(scene: str, point: dict, section, span: float) -> tuple[list[float],
 
 
 def multipliers(scene: str, point: dict, section, span: float, cycles: int = 1) -> np.ndarray:
-    """Return the eigenvalues of the map's derivative over `cycles` returns, by decreasing modulus.
-
-    Central differences are taken return by return, so that nonlinear effects do not grow. The steps are 1e-6 of the
-    sizes.
-    """
+    """Return the eigenvalues of the map's derivative over `cycles` returns, by decreasing modulus. Central differences
+    are taken return by return, so that nonlinear effects do not grow. The steps are 1e-6 of the sizes."""
     product = np.eye(len(section))
     times, states = returns(scene, point, section, 1.01 * span)
     for state, time in zip([section, *states[: cycles - 1]], np.diff([0.0, *times[:cycles]]), strict=True):

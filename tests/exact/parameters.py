@@ -1,7 +1,11 @@
-"""Parameters with the model's names, units (SI) and defaults (section 1, 2 and 3 of the model)."""
+"""Parameters with the model's names, units (SI) and defaults (section 1, 2 and 3 of the model), and given forces."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from types import SimpleNamespace
+
+import numpy as np
 
 DRILL = {"m1": 250.0, "beta": 0.4, "gamma": 0.75, "k1": 156250.0, "c2": 250.0, "g": 9.81, "v": 1.5}
 DRILL |= {"friction": "stribeck", "mu": 0.4, "v_cr": 3.0}  # R4
@@ -32,3 +36,23 @@ def parameters(scene: str, **given) -> SimpleNamespace:
     if "k3" in DEFAULTS[scene]:
         p.c3 = 2 * p.zeta * math.sqrt(p.m1 * p.k3)
     return p
+
+
+@dataclass
+class Pulses:
+    """A pulse at each t = n/frequency: rectangular, or half-sine force sin(pi t/w)."""
+
+    force: float
+    frequency: float
+    pulse_width: float
+    pulse_shape: str = "rectangular"
+
+    def since(self, t: float) -> tuple[Callable | None, float]:
+        """Return the force from t on, smooth for all times (None: no force), and the time until which it holds."""
+        n = math.floor(t * self.frequency + 1e-9)
+        begin, end = n / self.frequency, n / self.frequency + self.pulse_width
+        if t >= end - 1e-12:
+            return None, (n + 1) / self.frequency
+        if self.pulse_shape == "rectangular":
+            return lambda times: self.force + 0 * times, end
+        return lambda times: self.force * np.sin(np.pi * (times - begin) / self.pulse_width), end

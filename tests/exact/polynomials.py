@@ -33,12 +33,10 @@ def value(c: np.ndarray, x: float) -> float:
 
 
 def falls(c: np.ndarray, end: float, size: float) -> list[float]:
-    """Return all x in [-1, end] at which the polynomial falls through zero, in order; a negative value at -1 counts.
-
-    No fall is missed. A part of the interval is skipped only if its coefficients prove that it has no zero, and
-    searched only if they prove that the polynomial is monotone there. Otherwise it is halved. Dips below zero within
-    the rounding error of the given size do not count.
-    """
+    """Return all x in [-1, end] at which the polynomial falls through zero, in order; a negative value at -1 counts. No
+    fall is missed. A part of the interval is skipped only if its coefficients prove that it has no zero, and searched
+    only if they prove that the polynomial is monotone there. Otherwise it is halved. Dips below zero within the
+    rounding error of the given size do not count."""
     lifted = c.copy()
     lifted[0] += NOISE * size
     if lifted[0] >= np.abs(c[1:]).sum():
@@ -55,10 +53,8 @@ def first_fall(c: np.ndarray, end: float, size: float) -> float | None:
 
 
 def _search(c, a, b, low, high, roots):
-    """Append the falls in [a, b] to `roots`.
-
-    `c` are the coefficients over [a, b], `low` and `high` the values at its ends.
-    """
+    """Append the falls in [a, b] to `roots`. `c` are the coefficients over [a, b], `low` and `high` the values at its
+    ends."""
     if abs(c[0]) > np.abs(c[1:]).sum():
         return
     slope = DERIVATIVE @ c

@@ -1,8 +1,7 @@
 """The five scenes: the equations of each mode, and the mode that follows at each switch.
 
 Quantities are linear forms: rows over the state, whose last entry is 1. The equations therefore read as in the model.
-The rock's state is its compression e = x3 - x4, x3' and x4, so that small differences keep their own precision.
-"""
+The rock's state is its compression e = x3 - x4, x3' and x4, so that small differences keep their own precision."""
 
 from typing import NamedTuple
 
@@ -148,10 +147,7 @@ class Scene:
     # Switches
 
     def sizes(self) -> np.ndarray:
-        """Return the reference size of each entry.
-
-        Entries that grow from zero have no size of their own at the start.
-        """
+        """Return the reference size of each entry. Entries that grow from zero have no size at the start."""
         p, size = self.p, dict.fromkeys(self.entries, 0.0)
         if self.drill:
             size |= {"x1": p.v / np.sqrt(p.k1 / p.m1), "x2": p.v / np.sqrt(p.k1 / p.m1), "v1": p.v, "v2": p.v}
@@ -228,10 +224,8 @@ class Scene:
         raise ValueError(event)
 
     def _after_rate_jump(self, phase, y):
-        """Return the phase after the rock begins or stops to yield.
-
-        Coupled, the rate of the compression jumps there, so a striker that did not press may press now.
-        """
+        """Return the phase after the rock begins or stops to yield. Coupled, the rate of the compression jumps there,
+        so a striker that did not press may press now."""
         if self.coupled and phase.striker != "apart":
             return phase._replace(striker=self._pressing(phase, y))
         return phase

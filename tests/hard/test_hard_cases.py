@@ -1,7 +1,6 @@
 """Tests of hard cases: each lane is exact, or refused or flagged with a reason; none is silently wrong.
 
-The README beside this file has the table of the cases that are marked `long`.
-"""
+The README beside this file has the table of the cases that are marked `long`."""
 
 import numpy as np
 import pytest

@@ -18,9 +18,8 @@ import xarray as xr
 from commands import end_of, start, wait_for
 from kills import Kills
 
+import vibrojax as vj
 from vibrojax.cli import main
-from vibrojax.io.dataset import open_dataset
-from vibrojax.io.writers import write_dataset
 
 CHUNKS = 12
 SWEEP = f"""
@@ -93,15 +92,15 @@ def test_disk_fills_at_any_byte(tmp_path):
     values = np.random.default_rng(0).random(2000)
     dataset = xr.Dataset({"x": ("lane", values)}, attrs={"source": "vibrojax 0"})
     out = tmp_path / "out.nc"
-    write_dataset(dataset, out)
+    vj.write_dataset(dataset, out)
     size, seen = out.stat().st_size, set()
     for limit in [*range(1, size, size // 40), size]:
         out.unlink(missing_ok=True)
         try:
             with limited_files(limit):
-                write_dataset(dataset, out)
+                vj.write_dataset(dataset, out)
             seen.add("whole")
-            xr.testing.assert_identical(open_dataset(out), dataset)
+            xr.testing.assert_identical(vj.open_dataset(out), dataset)
         except OSError as error:
             seen.add(error.strerror)
             assert list(tmp_path.iterdir()) == []
@@ -132,10 +131,8 @@ if os.geteuid() == 0:  # root obeys the modes of files too, once it has dropped 
 
 
 def test_chunks_closed_deleted_truncated_and_flipped(folder, whole):
-    """The folder is closed while the sweep runs, and its chunks stay.
-
-    Then each damaged chunk is reported and computed again; the others are used.
-    """
+    """The folder is closed while the sweep runs, and its chunks stay. Then each damaged chunk is reported and computed
+    again; the others are used."""
     process = start_sweep(folder, before=BOUND_BY_MODES)
     wait_for(lambda: len(chunks(folder)) >= 3, process)
     closed = folder / "map.nc.chunks"
@@ -178,9 +175,7 @@ def test_two_processes_on_one_output(folder, whole):
 )
 def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
     """Ctrl-C and SIGTERM are answered with how to continue, which works; after SIGKILL too, finished chunks are used.
-
-    The limit is a second or, if other work slows the machine, twice the time of importing jax there.
-    """
+    The limit is a second or, if other work slows the machine, twice the time of importing jax there."""
     process = start_sweep(folder, "--fresh")
     wait_for(lambda: chunks(folder), process)
     began = time.monotonic()

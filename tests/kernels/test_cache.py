@@ -63,9 +63,7 @@ def test_without_folder(monkeypatch, tmp_path, folder):
     assert (cache.folder() is None) == (folder == "off")
 
 
-@pytest.mark.parametrize(
-    "parents, mode, unsafe", [(0, 0o720, True), (0, 0o1777, True), (1, 0o777, True), (1, 0o1777, False)]
-)
+@pytest.mark.parametrize("parents, mode, unsafe", [(0, 0o720, 1), (0, 0o1777, 1), (1, 0o777, 1), (1, 0o1777, 0)])
 def test_folder_writable_by_others(file, refusals, parents, mode, unsafe):
     """The sticky bit does not keep others from adding files; in a parent like /tmp it keeps the folder safe."""
     folder = cache.folder().parent if parents else cache.folder()
@@ -99,10 +97,7 @@ DAMAGES = {
     "pipe": (_make_pipe, "is not a regular file"),
     "swapped": (_swap, "is damaged, or does not belong under this name"),
     "truncated": (lambda file: os.truncate(file, cache.HEADER + 100), "is damaged"),
-    "flipped": (
-        lambda file: file.write_bytes((c := file.read_bytes())[:200] + bytes([c[200] ^ 1]) + c[201:]),
-        "is damaged",
-    ),
+    "flipped": (lambda x: x.write_bytes((c := x.read_bytes())[:200] + bytes([c[200] ^ 1]) + c[201:]), "is damaged"),
 }
 
 
@@ -151,7 +146,6 @@ def test_many_threads(file):
 
 
 # Digests, in processes without the checks of types, which wrap every function of the package
-
 FOLDERS = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
 
 
@@ -166,10 +160,8 @@ def printed(names, cache, seed="0"):
 
 
 def test_digests(tmp_path):
-    """Equal objects have one digest, whatever changes a trace changes it, and what is uncertain has none.
-
-    A second process, in which sets and hashes have another order, finds every kernel of the first.
-    """
+    """Equal objects have one digest, whatever changes a trace changes it, and what is uncertain has none. A second
+    process, in which sets and hashes have another order, finds every kernel of the first."""
     digests = ["of_equal", "of_different", "of_uncertain", "of_patched"]
     [kernels, found], equal, different, uncertain, (before, after) = printed(["traced", *digests], tmp_path, seed="1")
     assert all(first == second is not None for first, second in equal)

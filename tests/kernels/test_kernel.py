@@ -1,4 +1,9 @@
-"""Tests of kernels against numpy and XLA at limits of numbers, for any number of lanes, each lane by itself."""
+"""Tests of kernels against numpy and XLA at limits of numbers, for any number of lanes, their object code and trees."""
+
+import struct
+import sys
+from collections import OrderedDict
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -6,9 +11,10 @@ import numpy as np
 import pytest
 from jax import lax
 
-from vibrojax.compile import translation
+from vibrojax.compile import cache, native, translation
 from vibrojax.compile.assembly import Untranslatable
 from vibrojax.compile.native import Kernel, kernel_for, trace
+from vibrojax.compile.trees import flatten, map_leaves, unflatten
 
 RANDOM = np.random.default_rng(20)
 X, Y = RANDOM.normal(size=(2, 21))
@@ -121,10 +127,15 @@ def test_rows_are_replaced_in_a_loop(width):
     assert_matches_xla(function, rows, np.arange(21) % 7, X)
 
 
-def test_bits_of_integers_need_no_instruction():
+def test_bits_and_tangents_of_integers():
     """With a conversion from i8 to i8, LLVM 22 omitted a later store."""
     traced = trace(lambda x, bits: (x, lax.bitcast_convert_type(bits, jnp.int8)), X, np.uint8(3))
     assert "bitcast" not in translation.kernel_text(traced.jaxpr, 8).text
+    # They have no content, and must not occupy memory of other values.
+    function = lambda x: jax.jvp(lambda x: (x * x, jnp.floor(x).astype(jnp.int32), x > 0), (x,), (jnp.ones_like(x),))
+    (square, whole, sign), (slope, *_) = run_kernel(function, X)
+    for result, correct in ((square, X * X), (slope, 2 * X), (whole, np.floor(X)), (sign, X > 0)):
+        np.testing.assert_array_equal(result, correct)
 
 
 def collatz(n):
@@ -145,26 +156,12 @@ def test_any_number_of_lanes(lanes, registers, width):
     """The bits do not depend on the number of lanes, nor on the other lanes."""
     n = (np.arange(lanes) * 7919) % 97 + 1
     x = np.linspace(-3, 3, lanes)
-
-    def function(n, x):
-        return collatz(n), jnp.exp(jnp.sin(x)) * x**3 + jnp.sqrt(jnp.abs(x))
-
+    function = lambda n, x: (collatz(n), jnp.exp(jnp.sin(x)) * x**3 + jnp.sqrt(jnp.abs(x)))
     together, single = run_kernel(function, n, x, registers=registers), Kernel(function, n[:1], x[:1])
     alone = [single(n[lane : lane + 1], x[lane : lane + 1]) for lane in range(lanes)]
     np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
     expected = [0, 1, 7, 2, 5, 8, 16, 3, 19, 6]  # OEIS A006577
     np.testing.assert_array_equal(run_kernel(collatz, np.arange(1, 11)), expected)
-
-
-def test_tangents_of_integers():
-    """They have no content, and must not occupy memory of other values."""
-
-    def function(x):
-        return jax.jvp(lambda x: (x * x, jnp.floor(x).astype(jnp.int32), x > 0), (x,), (jnp.ones_like(x),))
-
-    (square, whole, sign), (slope, *_) = run_kernel(function, X)
-    for result, correct in ((square, X * X), (slope, 2 * X), (whole, np.floor(X)), (sign, X > 0)):
-        np.testing.assert_array_equal(result, correct)
 
 
 REFUSED = {
@@ -187,21 +184,7 @@ def test_refusals(name):
         Kernel(REFUSED[name], X)
 
 
-def test_refused_function_is_traced_once():
-    """Each later call runs on XLA at once."""
-    traced = []
-
-    def function(x):
-        traced.append(x)
-        return x[::2]
-
-    for _ in range(2):
-        with pytest.raises(Untranslatable, match="some of the lanes"):
-            kernel_for(function, (), X)
-    assert len(traced) == 1
-
-
-def test_unknown_parameters():
+def test_refused_functions_are_traced_once_and_unknown_parameters_refused():
     """A later jax cannot change the meaning of a primitive silently."""
     for name in translation.primitives():
         with pytest.raises(Untranslatable, match=f"{name} with(out)? the (unknown )?parameter"):
@@ -214,3 +197,105 @@ def test_unknown_parameters():
         with pytest.raises(Untranslatable, match=f"{name} {words}"):
             translation.check_parameters(name, parameters)
     assert set(translation.PARAMETERS) <= translation.primitives()
+    # Each later call runs on XLA at once.
+    traced = []
+
+    def function(x):
+        traced.append(x)
+        return x[::2]
+
+    for _ in range(2):
+        with pytest.raises(Untranslatable, match="some of the lanes"):
+            kernel_for(function, (), X)
+    assert len(traced) == 1
+
+
+RELOCATIONS, WHOLE_ADDRESS = 4, 1  # SHT_RELA, R_X86_64_64 (ELF-64 and x86-64 psABI)
+
+
+def references(code: bytes) -> list[int]:
+    """Return the types of all references in an ELF object file."""
+    start, size, count = struct.unpack_from("<Q", code, 40)[0], *struct.unpack_from("<HH", code, 58)
+    types = []
+    for section in range(count):
+        kind, offset, length = struct.unpack_from("<4xI16xQQ", code, start + section * size)
+        if kind == RELOCATIONS:
+            types += [struct.unpack_from("<8xI", code, offset + entry)[0] for entry in range(0, length, 24)]
+    return types
+
+
+@pytest.mark.skipif(sys.platform != "linux" or "x86_64" not in native.processor().triple, reason="reads ELF for x86-64")
+def test_references_are_whole_addresses(monkeypatch, tmp_path):
+    """Shorter references once ended the process in one of some dozens of kernels, whose parts lay too far apart."""
+    monkeypatch.setenv("VIBROJAX_CACHE", str(tmp_path))
+    x = np.linspace(0.1, 2.0, 9)
+    function = lambda x: jnp.exp(x) * 3.7 + jnp.arctan2(x, 0.3) + jnp.where(x > 1.1, -x, x)
+    np.testing.assert_allclose(Kernel(function, x)(x), np.asarray(function(x)), rtol=1e-14)
+    [file] = cache.folder().iterdir()
+    code = file.read_bytes()[cache.HEADER :]
+    assert references(code) and set(references(code)) == {WHOLE_ADDRESS}
+
+
+DTYPES = {"float64": 1.5, "float32": 1.5, "int8": 3, "int16": 3, "bool": True}
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 40])
+def test_selected_lanes_in_place(length):
+    """Lanes at any index, of numbers of every size, are read and written at their own places only."""
+    random = np.random.default_rng(length)
+    rows = {name: random.permutation(40 * 3).reshape(3, 40).astype(name) for name in DTYPES}
+
+    def function(rows, factor):
+        return {name: x ^ True if name == "bool" else x * factor.astype(name) for name, x in rows.items()}
+
+    bound = Kernel(function, rows, np.float64(2)).bind(rows, np.float64(2))
+    for result in bound.results.values():
+        result[...] = 1
+    lanes = random.permutation(40)[:length]
+    bound(lanes)
+    for name, result in bound.results.items():
+        expected = np.ones_like(rows[name])
+        expected[:, lanes] = ~rows[name][:, lanes] if name == "bool" else rows[name][:, lanes] * np.array(2, name)
+        np.testing.assert_array_equal(result, expected)
+
+
+WRONG = [[0, 40], [-1], [2**62], [0.0], [[0]]]
+
+
+@pytest.mark.parametrize("lanes", WRONG, ids=str)
+def test_wrong_index_writes_nothing(lanes):
+    """It is refused before the machine code runs, which would overwrite other memory."""
+    x = np.linspace(0.1, 2.0, 40)
+    bound = Kernel(lambda x: x + 1.0, x).bind(x)
+    bound.results[...] = 7.0
+    with pytest.raises(IndexError, match="lanes"):
+        bound(np.array(lanes))
+    assert (bound.results == 7.0).all()
+
+
+class Pair(NamedTuple):
+    """A container like those of programs."""
+
+    first: object
+    second: object = ()
+
+
+TREES = (
+    (1.0, [2, None, (), []], {}, "3"),
+    {"b": np.ones(2), "a": {"z": None, "y": Pair(np.float32(1), (np.zeros(3),))}, "_": True},
+    ({2: 1, -1: 2, 10: 3}, Pair([Pair({"b": 1, "B": 2}), 3])),
+    ({"x": jnp.ones(2), "o": OrderedDict(b=1, a=[2, 3])}, jax.ShapeDtypeStruct((3,), float)),
+)
+
+
+@pytest.mark.parametrize("tree", TREES, ids=range(len(TREES)))
+def test_trees_are_those_of_jax(tree):
+    """Kernels number their arguments as jax does, and results are put together again from their numbers."""
+    leaves, structure = flatten(tree)
+    expected, by_jax = jax.tree.flatten(tree)
+    assert list(map(id, leaves)) == list(map(id, expected))
+    numbers = range(len(leaves))
+    assert repr(unflatten(structure, numbers)) == repr(jax.tree.unflatten(by_jax, numbers))
+    assert repr(map_leaves(lambda *x: x, tree, tree)) == repr(jax.tree.map(lambda *x: x, tree, tree))
+    assert [structure == flatten(other)[1] for other in TREES] == [other is tree for other in TREES]
+    assert hash(structure) == hash(flatten(tree)[1])

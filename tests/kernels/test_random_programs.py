@@ -2,8 +2,7 @@
 
 After each instruction, floats become multiples of 1/8 up to 4. Sums and products of a few of these are exact, and what
 is rounded is far from the bounds between them. So no comparison needs a tolerance, and no rounding error decides which
-element a choice, an index or a loop takes.
-"""
+element a choice, an index or a loop takes."""
 
 from inspect import isgenerator, signature
 

@@ -172,8 +172,7 @@ def test_unit_factors():
     assert split_unit("rate_of_penetration") == ("rate_of_penetration", None) and split_unit("x_1") == ("x_1", None)
 
 
-def test_command_prints_tables_and_writes_fit(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_command_prints_tables_and_writes_fit(here, capsys):
     write_dataset(sweep(), "map.nc")
     assert main(["fit", "map.nc"]) == 0
     printed = capsys.readouterr().out.splitlines()
@@ -189,8 +188,7 @@ def test_command_prints_tables_and_writes_fit(tmp_path, monkeypatch, capsys):
     assert "a sweep" in capsys.readouterr().out
 
 
-def test_fit_without_penetration_is_refused(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_fit_without_penetration_is_refused(here, capsys):
     write_dataset(sweep(rate_of_penetration=(("force", "frequency"), np.zeros((2, 8)))), "map.nc")
     assert main(["fit", "map.nc"]) == 2
     out, err = capsys.readouterr()

@@ -170,15 +170,14 @@ def test_unknown_threshold_keeps_determined_quantities(logs):
         fit_quietly(path, columns={"threshold": "unknown"})
 
 
-def test_command_reports_rows_and_chosen_form(logs, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_command_reports_rows_and_chosen_form(logs, here, capsys):
     assert main(["fit", str(logs["las"]), "--columns", "rock=granite"]) == 0
     out = capsys.readouterr().out
     assert "dropped 6 of 406 rows:\n" in out and "  no rotation: 1 (line " in out
     assert "recommended C (95 % interval, by blocks of rows)" in out
     assert "Rotary rig data are not percussive data" in out and "las-fit.nc; picture las-fit.png" in out
     assert "a lane: a row of las.las" in out
-    (tmp_path / "las.csv").write_text(logs["pason"].read_text())  # another file, whose result has a name of its own
+    (here / "las.csv").write_text(logs["pason"].read_text())  # another file, whose result has a name of its own
     assert main(["fit", "las.csv"]) == 0 and "las-csv-fit.nc; picture las-csv-fit.png" in capsys.readouterr().out
     assert main(["info", "las-fit.nc"]) == 0 and "dropped 6 of 406 rows" in capsys.readouterr().out
     assert main(["fit", str(logs["semicolon"]), "--by", "Formation", "--json", "-o", "s.nc"]) == 0

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refusal
 
 import vibrojax as vj
 from vibrojax.errors import InputError
@@ -128,8 +129,7 @@ def test_xlsx_is_read(tmp_path):
     pytest.importorskip("openpyxl")
     path = tmp_path / "log.xlsx"
     path.write_bytes(b"PK")
-    with pytest.raises(InputError, match=r"log\.xlsx: cannot be read as xlsx"):
-        read_log(path)
+    assert "log.xlsx: cannot be read as xlsx" in refusal(read_log, path)
     pd.DataFrame(dict(zip(METRIC.split(","), FOUR, strict=True))).to_excel(path, index=False)
     np.testing.assert_allclose(read_log(path).weight_on_bit, SI["weight_on_bit"], rtol=1e-12)
 
@@ -187,8 +187,7 @@ def test_columns_that_are_not_needed_never_stop_a_fit(tmp_path):
     (tmp_path / "log.csv").write_text(text.replace("15000", "x", 1))
     fit = vj.fit_rop(tmp_path / "log.csv", progress=False)
     assert float(fit.C.sel(form="onset").item()) == pytest.approx(22 / 3600, rel=1e-6)
-    with pytest.raises(InputError, match='line 2, column SPPA: "x"'):
-        read_log(tmp_path / "log.csv")
+    assert 'line 2, column SPPA: "x"' in refusal(read_log, tmp_path / "log.csv")
 
 
 @pytest.fixture(scope="module")
