@@ -47,6 +47,14 @@ def test_errors_of_short_logs_allow_for_correlated_noise():
     assert held >= 26
 
 
+def test_few_weights_determine_a_law():
+    """All rows below a founder weight may then have the same weight."""
+    for few in ([50.0, 80.0], [20.0, 40.0, 60.0]):
+        weight = np.random.default_rng(15).permutation(np.repeat(few, 120 // len(few)))
+        form = fit_lanes(weight, weight, np.log(weight / 10)).forms.loc["onset"]
+        assert (form["C"], form["eta0"]) == pytest.approx((1.0, 10.0), rel=1e-6)
+
+
 def test_founder_leaves_rows_below_it_whatever_its_error():
     """The rows below the founder weight are within its error."""
     rng = np.random.default_rng(0)

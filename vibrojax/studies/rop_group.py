@@ -255,13 +255,13 @@ def _profile(
         normal, right = np.einsum("rbi,rbj->bij", slopes, slopes), np.einsum("rbi,rb->bi", slopes, target + 0 * excess)
         inverse = np.linalg.pinv(normal, hermitian=True)
         theta = np.einsum("bij,bj->bi", inverse, right)
-        level = np.einsum("bij,bj->bi", np.linalg.inv(normal[:, :2, :2]), right[:, :2])
+        level = np.einsum("bij,bj->bi", np.linalg.pinv(normal[:, :2, :2], hermitian=True), right[:, :2])
         theta = np.where(theta[:, 2:] >= 0, theta, np.pad(level, ((0, 0), (0, 1))))  # the rate never rises there
         law = np.einsum("rbi,bi->rb", columns, theta[:, :2])
         law = np.exp(np.minimum(law, _LARGEST_LOG_RATE)) if is_power else law
     residual = np.where(rate > 0, np.maximum(law, 0.0) - theta[:, 2] * excess - rate, 0.0)
     squares = np.maximum(np.sum(whiten(residual, decay) ** 2, axis=0), _TINY)
-    errors = np.sqrt(inverse[:, 2, 2] * squares / max(rate.size - 4, 1))
+    errors = np.sqrt(np.maximum(inverse[:, 2, 2], 0.0) * squares / max(rate.size - 4, 1))
     return _Profile(squares, theta, errors, residual)
 
 
