@@ -137,10 +137,9 @@ def read_log(
     kept = ~np.any([np.zeros(len(data), bool), *masks.values()], axis=0)
     if is_rig and DEPTH in data:
         masks["depth not monotonic"] = _not_monotonic(place, chosen[DEPTH], data[DEPTH].to_numpy(), kept, lines)
-    dropped, kept = dict[str, np.ndarray](), np.ones(len(data), bool)
-    for reason, mask in masks.items():  # a row counts for the first reason
-        dropped |= {reason: lines[kept & mask]} if (kept & mask).any() else {}
-        kept &= ~mask
+    of_rows = pd.DataFrame(masks, index=range(len(data)))
+    kept, first = ~of_rows.any(axis=1).to_numpy(bool), of_rows.cumsum(axis=1).eq(1) & of_rows
+    dropped = {reason: lines[mask] for reason, mask in first.items() if mask.any()}  # a row counts for the first reason
     if not kept.any():
         texts = ", ".join(f"{name} ({counted(part.size, 'row')})" for name, part in dropped.items())
         hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
@@ -355,10 +354,9 @@ def _no_drilling(data: pd.DataFrame, limits: Mapping[str, float]) -> dict[str, M
         (ROTATION_SPEED, "no rotation", lambda x: ~(x >= SLOWEST_ROTATION)),
         (DEPTH, "missing depth", pd.Series.isna),
         (known.BIT_DEPTH, "off bottom", lambda x: x < data.get(DEPTH, np.nan) - OFF_BOTTOM),
-        (RATE, "rate beyond reason", lambda x: (x < 0) | (x > limits[RATE])),
-        (WEIGHT, "weight beyond reason", lambda x: (x < 0) | (x > limits[WEIGHT])),
-        (ROTATION_SPEED, "rotation beyond reason", lambda x: (x < 0) | (x > limits[ROTATION_SPEED])),
     ]
+    for name, word in ((RATE, "rate"), (WEIGHT, "weight"), (ROTATION_SPEED, "rotation")):
+        tests.append((name, f"{word} beyond reason", lambda x: (x < 0) | (x > limits[str(x.name)])))
     return {reason: is_so(data[name]).to_numpy(bool) for name, reason, is_so in tests if name in data}
 
 
