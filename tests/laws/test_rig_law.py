@@ -238,6 +238,13 @@ def test_forms_that_differ_by_less_than_noise_are_undecided():
     assert fit.attrs["verdict"] == "none" and any("these data cannot tell" in line for line in verdict(fit))
 
 
+def test_verdict_claims_no_support_where_no_form_is_rejected():
+    """With a threshold that is unknown, every other form contains the constant."""
+    weight, noise = np.tile([50e3, 60e3, 70e3, 80e3, 90e3], 8), np.tile([1.0, -1.0, -1.0, 1.0], 10)
+    text = "\n".join(verdict(fit_quietly(log(weight, 5e-3 * (1 + 0.02 * noise)))))
+    assert "these data reject no form, of which constant has the fewest coefficients" in text
+
+
 @pytest.mark.parametrize(("groups", "expected"), [(1, "onset"), (2, "none"), (8, "none")])
 def test_special_case_needs_more_evidence_against_it_in_one_of_several_groups(groups, expected):
     """An evidence of 9 against `literal` is beyond chance in one group, but not in one of two."""
