@@ -134,6 +134,20 @@ def test_xlsx_is_read(tmp_path):
     np.testing.assert_allclose(read_log(path).weight_on_bit, SI["weight_on_bit"], rtol=1e-12)
 
 
+def test_names_and_formats_of_exports_decide_how_cells_are_read():
+    """Times name a format, names end in a unit, and a column that is not read shows that commas are decimal marks."""
+    table = pd.DataFrame({"DATE (D-MMM-YYYY)": "4-May-2023", "TIME (HH:MM:SS)": CLOCK})
+    for name, values in zip(("Teufe [m]", "ROP [m/h]", "WOB [kN]", "Bit RPM (rpm)"), FOUR, strict=True):
+        table[name] = [f"{value:.3f}".replace(".", ",") for value in values]
+    log = read_log(table, columns={"rotary_speed": "bit RPM"})
+    for name in ("weight_on_bit", "rate_of_penetration", "rotary_speed"):
+        np.testing.assert_allclose(log[name], SI[name], rtol=1e-3)
+    np.testing.assert_allclose(log.time, 60.0 * np.arange(N))
+    assert log.attrs["notes"][-1] == "columns without a known name, which --columns can give: Teufe [m]"
+    with pytest.raises(InputError, match=r"like WOB \(kN\), above numbers only"):
+        read_log(pd.DataFrame({"WOB": ["90 kN", "91 kN"], "ROP (m/h)": 20}))
+
+
 REFUSED = {
     "bare.csv": (csv(VOLVE[0], columns=VOLVE[1]), 'weight_on_bit="WOBA .kN or klbf or t." .*pressure="SPPA .kPa."'),
     "cut.xml": (witsml(LISTS, lines_of(*FOUR))[:-30], r"not XML \(.*\); export the log again, or as CSV"),

@@ -106,7 +106,8 @@ def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
             return f"{name} was {texts[0]}, is {texts[1]}"
         if _COLUMN.fullmatch(texts[0]):
             return f"the values of {name.rpartition('.')[2]} differ"
-        return f"{name if texts[0] == 'there' else texts[0]} has changed since"
+        is_file = texts[0] != "there"
+        return f"that of another {texts[0]}, or before its change" if is_file else f"{name} has changed since"
 
     names = [name for name in {**before, **now} if before.get(name, ...) != now.get(name, ...)]
     texts = [difference(name) for name in names[:_CHANGES_SHOWN]]

@@ -66,6 +66,9 @@ _FIELD_SIGN = "rop depth hour"
 _FIELD_UNITS = {"m": "ft", "m s-1": "ft/h", "N": "klbf", "rad s-1": "rpm", "N m": "ft lbf", "m3 s-1": "gal/min"}
 _FIELD_UNITS |= {"Pa": "psi"}
 
+_TIME_FORMAT = re.compile(r"[a-z .:/-]*:[a-z .:/-]*|unitless|date ?time", re.IGNORECASE)
+"""What exports write in place of the unit of times as texts."""
+
 _MARGIN = 2.0
 """Ratio to the range of rigs beyond which the median of a column without a unit is in another unit."""
 
@@ -192,6 +195,7 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
     for quantity, unit, index, cell in sorted(known, key=lambda item: (not is_own(item[3], item[0]), item[1] is None)):
         name = str(quantity)
         si = KNOWN[name].unit
+        unit = None if name == TIME and _TIME_FORMAT.fullmatch(unit or "") else unit
         if name in columns:
             continue
         if name in chosen:
@@ -201,7 +205,7 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
         else:
             default = _FIELD_UNITS.get(si, UNITS[si][0]) if is_field else UNITS[si][0]
             column = _column(Place(place.file, f"{place.key}, column {cell}"), name, cell, index, unit or default)
-            chosen[name] = replace(column, assumed=unit is None and name != TIME and si != "1")
+            chosen[name] = replace(column, assumed=unit is None and si != "1")
     return chosen, notes
 
 
@@ -230,7 +234,9 @@ def _user_column(place: Place, header: list[str], name: str, text: str) -> Colum
     """Return the column or the constant value that the user's `text` specifies for the quantity `name`."""
     base, unit = split_unit(text)
     bases = [split_unit(cell)[0] for cell in header]
-    matches = _matches(header, text) or _matches(header, base) or _matches(bases, base)
+    if matches := _matches(header, text) or _matches(bases, text):
+        unit = None  # "Rotary RPM" is a name
+    matches = matches or _matches(header, base) or _matches(bases, base)
     if len(matches) > 1:
         candidates = ", ".join(shown(header[index]) for index in matches)
         raise place.error(f"{shown(text)} may be {candidates}; give each column a name of its own, and that one here")

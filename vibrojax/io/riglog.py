@@ -20,7 +20,7 @@ from vibrojax.io import log_columns as known
 from vibrojax.io import tables
 from vibrojax.io.attributes import attribute_of, table_of, text_of
 from vibrojax.io.log_columns import DEPTH, KNOWN, LINE, RATE, ROTATION_SPEED, TIME, WEIGHT, Column
-from vibrojax.physics.units import UNITS, factor
+from vibrojax.physics.units import UNITS, factor, is_unit
 
 NULLS = frozenset(
     ("-999.25", "-999", "-9999", "-9999.25", "null", "(null)", "none", "nan", "na", "n/a", "#n/a", "-", "--")
@@ -119,7 +119,8 @@ def read_log(
     read = {column.index for column in chosen.values()}
     needed = {key for key in chosen if key in needed or key in columns}
     table, unusual = _quantities(place, cells, chosen, missing, needed, notes)
-    if is_rig and (unread := [cell for k, cell in enumerate(header) if k not in read and cell not in ("", "row")]):
+    unread = [cell for k, (name, cell) in enumerate(names) if k not in read and not name and cell not in ("", "row")]
+    if is_rig and unread:
         more = f" and {counted(len(unread) - _LISTED, 'other')}" if len(unread) > _LISTED else ""
         notes.append(f"columns without a known name, which --columns can give: {', '.join(unread[:_LISTED])}{more}")
     data = pd.DataFrame(table)
@@ -137,10 +138,9 @@ def read_log(
     kept = ~np.any([np.zeros(len(data), bool), *masks.values()], axis=0)
     if is_rig and DEPTH in data:
         masks["depth not monotonic"] = _not_monotonic(place, chosen[DEPTH], data[DEPTH].to_numpy(), kept, lines)
-    dropped, kept = dict[str, np.ndarray](), np.ones(len(data), bool)
-    for reason, mask in masks.items():  # a row counts for the first reason
-        dropped |= {reason: lines[kept & mask]} if (kept & mask).any() else {}
-        kept &= ~mask
+    of_rows = pd.DataFrame(masks, index=range(len(data)))
+    kept, first = ~of_rows.any(axis=1).to_numpy(bool), of_rows.cumsum(axis=1).eq(1) & of_rows
+    dropped = {reason: lines[mask] for reason, mask in first.items() if mask.any()}  # a row counts for the first reason
     if not kept.any():
         texts = ", ".join(f"{name} ({counted(part.size, 'row')})" for name, part in dropped.items())
         hint = f"; is a unit wrong? {unusual[0][3]}" if unusual else ""
@@ -176,14 +176,17 @@ def _quantities(
     own = {column.index for column in chosen.values()}
     texts = {key: cells.iloc[:, column.index] for key, column in chosen.items() if column.index is not None}
     texts = {key: text.mask(text.str.casefold().isin(missing), "") for key, text in texts.items()}
-    mark = tables.decimal_mark(texts[key] for key in texts if key in needed) or tables.decimal_mark(texts.values())
+    mark = tables.decimal_mark(texts[key] for key in texts if key in needed)
+    mark = mark or tables.decimal_mark(column for _, column in cells.items())
     notes += ["commas are decimal marks"] * (mark == ",")
     table, unusual, faults, likely = dict[str, np.ndarray](), [], list[tuple[int, str, str]](), dict[str, str]()
     for key, column in list(chosen.items()):
         values = np.full(len(cells), (column.value or 0.0) / column.factor)
         if key in texts:
             values, wrong = tables.to_numbers(texts[key], mark, missing)
-            values, wrong = _times(column, cells, texts[key], values, wrong) if key == TIME else (values, wrong)
+            if key == TIME:
+                chosen[key] = column = replace(column, assumed=column.assumed and not wrong.any())
+                values, wrong = _times(column, cells, texts[key], values, wrong)
             bad = texts[key][wrong]
             if key in needed and key != TIME:
                 faults += [(int(line), column.header, value) for line, value in bad.items()]
@@ -211,8 +214,13 @@ def _quantities(
     if faults:
         faults.sort()
         listed = tables.listed_faults([f"line {line}, column {name}: {shown(value)}" for line, name, value in faults])
-        right = f"correct them, or say that they stand for missing values: --nulls {shown(faults[0][2])}"
-        right = tables.AMBIGUOUS_COMMAS if "," in faults[0][2] and not mark else right
+        (_, name, value), unit = faults[0], known.number_of(faults[0][2])[1]
+        texts_of_nulls = " ".join(map(shown, dict.fromkeys(value for *_, value in faults[: tables.MOST_LISTED])))
+        right = f"correct them, or say that they stand for missing values: --nulls {texts_of_nulls}"
+        if "," in value and not mark:
+            right = tables.AMBIGUOUS_COMMAS
+        elif unit and is_unit(unit):
+            right = f"write the unit into the name of the column, like {name} ({unit}), above numbers only"
         raise place.error(f"{listed}; {counted(len(faults), 'cell is not a number', 'cells are not numbers')}; {right}")
     if likely:
         fault = f"no unit is given, and the median is far outside what rigs have: {', '.join(likely)}"
@@ -234,16 +242,16 @@ def _times(about: Column, cells: pd.DataFrame, text: pd.Series, numbers: Rows, w
     """
     dates = [k for k, name in enumerate(cells) if known.recognise(str(name))[0] == known.DATE and k != about.index]
     days, empty = cells.iloc[:, dates[0]] if dates else None, (text == "").to_numpy()
+    stamps = text if days is None else days + " " + text
+    stamps = pd.to_datetime(stamps.str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
     if days is None and not wrong.any():
         values = about.factor * numbers
-    elif days is None and text[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
+    elif not stamps.notna().any() and text[~empty].str.fullmatch(_CLOCK).mean() > 0.5:
         clock = text.where(text.str.fullmatch(_CLOCK)).where(text.str.count(":") != 1, text + ":00")
         elapsed = pd.to_timedelta(clock, errors="coerce").dt.total_seconds()
         turns = (elapsed.ffill().diff() < -_DAY / 2).cumsum()
         values = (elapsed + _DAY * turns).to_numpy()
     else:
-        stamps = text if days is None else days + " " + text
-        stamps = pd.to_datetime(stamps.str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
         values = (stamps - stamps.min()).dt.total_seconds().to_numpy(float)
     return (values - values[np.isfinite(values)][:1].sum()) / about.factor, np.isnan(values) & ~empty
 
@@ -347,10 +355,9 @@ def _no_drilling(data: pd.DataFrame, limits: Mapping[str, float]) -> dict[str, M
         (ROTATION_SPEED, "no rotation", lambda x: ~(x >= SLOWEST_ROTATION)),
         (DEPTH, "missing depth", pd.Series.isna),
         (known.BIT_DEPTH, "off bottom", lambda x: x < data.get(DEPTH, np.nan) - OFF_BOTTOM),
-        (RATE, "rate beyond reason", lambda x: (x < 0) | (x > limits[RATE])),
-        (WEIGHT, "weight beyond reason", lambda x: (x < 0) | (x > limits[WEIGHT])),
-        (ROTATION_SPEED, "rotation beyond reason", lambda x: (x < 0) | (x > limits[ROTATION_SPEED])),
     ]
+    for name, word in ((RATE, "rate"), (WEIGHT, "weight"), (ROTATION_SPEED, "rotation")):
+        tests.append((name, f"{word} beyond reason", lambda x: (x < 0) | (x > limits[str(x.name)])))
     return {reason: is_so(data[name]).to_numpy(bool) for name, reason, is_so in tests if name in data}
 
 

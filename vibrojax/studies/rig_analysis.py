@@ -32,12 +32,12 @@ SLOWEST_SAMPLING = 2.0
 MOST_FORMATIONS = 20
 """Greatest number of texts in a column that are taken for names of formations or bits."""
 
-FOUNDER_REASONS = ("found", "no-bend", "too-few-rows", "no-weight")
 _NO_FOUNDER = {
     "no-bend": "the rate over the weight has no bend",
     "too-few-rows": "too few rows to tell",
     "no-weight": "no weight on bit",
 }
+FOUNDER_REASONS = ("found", *_NO_FOUNDER)
 _NEEDED = {
     "specific_energy": (WEIGHT, ROTATION_SPEED, "torque", "bit_diameter"),
     "percussive_specific_energy": ("impact_power", "bit_diameter"),

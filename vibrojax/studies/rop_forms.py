@@ -210,7 +210,7 @@ def search(form: Form, relief: Lanes, rate: Lanes, robust: bool, decay: Lanes | 
     for turn in range(is_solved, 1 + _SCALE_ROUNDS * robust):  # turn 0: of squares
         before = scale
         scale = _BOUND * max(spread_of(whiten(residual, decay)[active]), _LEAST_SCALE) if turn else np.inf
-        if turn > 1 and abs(scale - before) <= _SAME_SCALE * scale:
+        if not active.any() or (turn > 1 and abs(scale - before) <= _SAME_SCALE * scale):
             break
         solution = least_squares(
             lambda theta: whiten(form.residuals(theta, relief, rate)[0], decay),
@@ -223,7 +223,7 @@ def search(form: Form, relief: Lanes, rate: Lanes, robust: bool, decay: Lanes | 
         )
         theta, converged = solution.x, solution.status > 0 and bool(np.abs(solution.x).max() < _LARGEST_THETA)
         residual, jacobian, active = form.residuals(theta, relief, rate)
-    if not (converged and np.isfinite(theta).all()):
+    if not (converged and active.any() and np.isfinite(theta).all()):
         return Reason.NOT_CONVERGED
     # The loss 2 s² (sqrt(1 + (r/s)²) - 1) has the slope 2 r (1 + (r/s)²)^(-1/2) and the curvature 2 (1 + ...)^(-3/2).
     white = whiten(residual, decay)
@@ -234,7 +234,7 @@ def search(form: Form, relief: Lanes, rate: Lanes, robust: bool, decay: Lanes | 
 
 def spread_of(residual: Lanes) -> float:
     """Return the standard deviation of residuals about 0, estimated from their median absolute value."""
-    return _NORMAL_OVER_MAD * float(np.median(np.abs(residual)))
+    return _NORMAL_OVER_MAD * float(np.median(np.abs(residual))) if residual.size else 0.0
 
 
 def moves_without(minimum: Minimum, block: LaneBlocks) -> Float[np.ndarray, "blocks coefficients"]:
@@ -254,7 +254,7 @@ def moves_without(minimum: Minimum, block: LaneBlocks) -> Float[np.ndarray, "blo
     first = np.searchsorted(block, np.arange(block[-1] + 1))
     of_block = np.add.reduceat(jacobian[:, :, None] * jacobian[:, None, :], first)
     slopes = np.add.reduceat(jacobian * residual[:, None], first)
-    return np.linalg.solve(squares - _TAKEN * of_block, slopes[:, :, None])[:, :, 0]
+    return (np.linalg.pinv(squares - _TAKEN * of_block, hermitian=True) @ slopes[:, :, None])[:, :, 0]
 
 
 # The comparison of the forms

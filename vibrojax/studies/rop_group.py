@@ -19,13 +19,13 @@ LEAST_DEGREES_OF_FREEDOM = 2
 """Degrees of freedom below which forms are not compared: the correction of AIC for small samples, 2k(k + 1)/(n - k - 1)
 for k = 2 coefficients, is finite from n = 4 lanes on."""
 
-LEAST_ROWS = 50
-"""Least number of rows for blocks: five blocks of ten rows."""
-
 LEAST_CLEANED = 30
-"""Least number of rows from which wrong rows and a founder weight are sought."""
+"""Least number of rows from which wrong rows and a founder weight are sought, and errors follow from blocks of rows."""
 
-_MOST_BLOCKS, _ROWS_PER_BLOCK = 20, 10
+LEAST_ROWS = 50
+"""Least number of rows from which the forms are compared by blocks of rows."""
+
+_MOST_BLOCKS, _ROWS_PER_BLOCK = 20, 6
 # Two standard errors, and the probability up to them: 98.5 % between both ends instead of 95.4 %, since the correlation
 # and the founder weight follow from the data, and an interval that is too short is the worse fault.
 _TWO_ERRORS = 2.0, 0.9925
@@ -47,6 +47,7 @@ _LIKELY = 5.0  # evidence against founder weights up to two standard errors away
 _FEWEST_BESIDE = 3  # rows beside a founder weight within the error of the best one
 _LEAST_BESIDE = 8  # rows below the founder weight, and above it
 _LEAST_SHARE = 0.04  # of rows on either side
+_MOST_SOUGHT, _RUN = 20_000, 100  # rows that suffice for a founder weight, and the runs of rows in which they are taken
 _FOUNDER = 9.0  # evidence against all laws without a founder: exceeded by chance in 1 % of logs
 _MOST_MARGIN = 0.08  # of the founder weight, below it
 _LARGEST_LOG_RATE = 5.0  # of a power law, in units of the greatest rate: a worse guess is useless
@@ -121,8 +122,11 @@ def fit_lanes(
     if measured and rate.size >= LEAST_CLEANED and (rate > 0).any() and np.ptp(relief) > 0:
         founder, wrong = clean(relief, weight, rate, robust, has_force)
     keep = ~np.any([np.zeros(rate.size, bool), *wrong.values()], axis=0)
-    above = keep & (weight > founder.end)  # none, if that is NaN
-    fitted = keep & ~above
+    for end in (founder.end, founder.weight):  # none is above it, if that is NaN
+        above = keep & (weight > end)
+        fitted = keep & ~above
+        if fitted.sum() >= _LEAST_BESIDE:
+            break
     row = np.flatnonzero(fitted) if measured else None
     return GroupFit(_fit_forms(relief[fitted], rate[fitted], robust, unknown, row), founder, wrong, above)
 
@@ -204,11 +208,15 @@ def find_founder(relief: Lanes, weight: Lanes, rate: Lanes, row: LaneBlocks) -> 
         return np.unique(np.quantile(order[beside : order.size - beside] / top, np.linspace(0, 1, _BENDS)))
 
     def profiles(bends: Float[np.ndarray, " bends"]) -> list[_Profile]:
-        return [_profile(form, relief, x, y, bends, decay) for form in FORMS if form.size == 2]
+        return [_profile(form, relief, x, y, bends, decay_of(rho, row)) for form in FORMS if form.size == 2]
 
+    if rate.size > _MOST_SOUGHT:
+        some = np.arange(rate.size) // _RUN % -(-rate.size // _MOST_SOUGHT) == 0
+        founder, _ = find_founder(relief[some], weight[some], rate[some], row[some])
+        rho, bend = founder.correlation, founder.weight / top if founder.is_known else np.inf
+        return founder, min(profiles(np.array([bend])), key=lambda profile: profile.squares[0]).residual[:, 0]
     rho = 0.0
     for _ in range(2):  # the second time with the correlation of the first residuals
-        decay = decay_of(rho, row)
         straight, best = (
             min(profiles(bend), key=lambda profile: profile.squares.min())
             for bend in (np.array([np.inf]), between(beside))
@@ -247,13 +255,13 @@ def _profile(
         normal, right = np.einsum("rbi,rbj->bij", slopes, slopes), np.einsum("rbi,rb->bi", slopes, target + 0 * excess)
         inverse = np.linalg.pinv(normal, hermitian=True)
         theta = np.einsum("bij,bj->bi", inverse, right)
-        level = np.einsum("bij,bj->bi", np.linalg.inv(normal[:, :2, :2]), right[:, :2])
+        level = np.einsum("bij,bj->bi", np.linalg.pinv(normal[:, :2, :2], hermitian=True), right[:, :2])
         theta = np.where(theta[:, 2:] >= 0, theta, np.pad(level, ((0, 0), (0, 1))))  # the rate never rises there
         law = np.einsum("rbi,bi->rb", columns, theta[:, :2])
         law = np.exp(np.minimum(law, _LARGEST_LOG_RATE)) if is_power else law
     residual = np.where(rate > 0, np.maximum(law, 0.0) - theta[:, 2] * excess - rate, 0.0)
     squares = np.maximum(np.sum(whiten(residual, decay) ** 2, axis=0), _TINY)
-    errors = np.sqrt(inverse[:, 2, 2] * squares / max(rate.size - 4, 1))
+    errors = np.sqrt(np.maximum(inverse[:, 2, 2], 0.0) * squares / max(rate.size - 4, 1))
     return _Profile(squares, theta, errors, residual)
 
 
@@ -297,7 +305,7 @@ def _fit_forms(relief: Lanes, rate: Lanes, robust: bool, unknown: bool, row: Lan
     found = minima_of()
     if row is not None and (residuals := [x.residual for x in found.values() if isinstance(x, Minimum)]):
         rho = correlation(min(residuals, key=np.linalg.norm), row)
-        if rate.size >= LEAST_ROWS and np.ptp(relief) > 0:
+        if rate.size >= LEAST_CLEANED and np.ptp(relief) > 0:
             # The rows are whitened, so that blocks need not exceed the length of correlation.
             block = np.arange(rate.size) * int(np.clip(rate.size // _ROWS_PER_BLOCK, 1, _MOST_BLOCKS)) // rate.size
             decay = decay_of(rho, row)
@@ -310,7 +318,7 @@ def _fit_forms(relief: Lanes, rate: Lanes, robust: bool, unknown: bool, row: Lan
     table = pd.DataFrame.from_dict(records, orient="index").reindex(NAMES, columns=_COLUMNS)
     table["used"], table["standing"] = rate.size, int(rop_forms.Standing.NOT_COMPARED)
     limit = rop_forms.AIC_LIMIT if row is None else rop_forms.BLOCK_LIMIT
-    if block is None:
+    if block is None or rate.size < LEAST_ROWS:
         freedom = table["degrees_of_freedom"].drop(list(same))
         if freedom.min() < LEAST_DEGREES_OF_FREEDOM:
             return table
@@ -352,7 +360,7 @@ def _values(minimum: Minimum, rate: Lanes, block: LaneBlocks | None, decay: Lane
         fit |= {name: scale * value, f"{name}_stderr": scale * error}
     squares, about_mean = float(np.sum(minimum.residual**2)), float(np.sum((y - y.mean()) ** 2))
     varies = about_mean > rate.size * rop_forms.EXACT**2
-    if block is not None:
+    if block is not None and rate.size >= LEAST_ROWS:
         residual = predictions_without(minimum, y, block)
         fit["cv_error"] = unit * np.sqrt(np.mean(residual**2))
         fit["evidence_against"] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))

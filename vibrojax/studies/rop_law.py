@@ -123,8 +123,9 @@ def fit_rop(
     counted. Standard errors (HC3) are valid for noise of constant size and for noise proportional to the rate.
 
     A rig log is fitted with a robust loss. If the log shows a founder weight, above which the rate of penetration does
-    not rise, the forms are fitted to the rows below this weight. In logs of 50 rows or more, standard errors come from
-    a jackknife over blocks of rows, and the forms are compared by their cross-validation errors `cv_error`.
+    not rise, the forms are fitted to the rows below this weight. In logs of 30 rows or more, standard errors come from
+    a jackknife over blocks of rows; in logs of 50 rows or more, the forms are compared by their cross-validation errors
+    `cv_error`.
 
     **Arguments:**
 

@@ -256,6 +256,8 @@ def _comparison(standing: pd.Series) -> str:
     chosen, rivals = str(standing.eq("chosen").idxmax()), list(standing.index[standing == "undecided"])
     if rivals:
         return f"these data cannot tell {chosen} from {', '.join(rivals)}"
+    if not (standing == "rejected").any():
+        return f"these data reject no form, of which {chosen} has the fewest coefficients"
     others = "every form that does not contain it" if (standing == "contains-chosen").any() else "the other forms"
     return f"the data support {chosen}, {FORMULAS[chosen]}, against {others}"
 
