@@ -279,7 +279,7 @@ def _cell_of_motion(scene: Scene[Any], constants: Any, motion: Recorded, duratio
     late = motion.steps.start >= observed
     record = Record(*(np.asarray(x)[late] for x in motion.steps))
     with precision("float64"):
-        moments = event_times(scene, constants, record)
+        [moments] = event_times(scene, constants, record)
     if "cycles" in motion.found:
         cycles = int(motion.found["cycles"][1])
     else:

@@ -3,22 +3,23 @@
 A `Cell` holds the motion of one lane as the page shows it, see [vibrojax.explorer.encoding][].
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from vibrojax.compile.trees import map_leaves
 from vibrojax.compile.xla import precision
 from vibrojax.errors import printable
 from vibrojax.explorer.encoding import EVENTS, STUCK, TOUCHING, Cell, StateColumn
 from vibrojax.io.attributes import parameters_of
 from vibrojax.io.runs import with_events
 from vibrojax.lanes.compiler import lane_function
-from vibrojax.lanes.record import Record, SampledMotion, events, record_batch, sample, states_shown
-from vibrojax.lazy import jax
+from vibrojax.lanes.record import Record, SampledMotion, events, moving, record_batch, sample, states_shown
 from vibrojax.pictures.motion import unsettled_text
 from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
@@ -126,23 +127,24 @@ def _cell(
     moments: Moments,
     path: tuple[Samples, Float[np.ndarray, "states samples"]],
     ends: np.ndarray,
-    states_at: Callable[[Samples], tuple[Mapping[str, Any], np.ndarray]],
+    states_at: Callable[[Samples], tuple[dict[str, tuple[Any, str, str]], np.ndarray]],
     crossings: Callable[[np.ndarray], dict[str, np.ndarray]],
     fineness: int = 1,
 ) -> Cell:
     """Return a part of a motion.
 
     **Arguments:** `path`: times and states that show how the states move; `ends`: times of all events, which get a
-    sample, or one on each side of a jump. `states_at`: function of times that returns states with attributes, and flags
-    without events; `crossings`: function of the times of section crossings that returns the states there; `fineness`:
-    ratio of the number of samples to that of a lane.
+    sample, or one on each side of a jump. `states_at`: function of times that returns the states' values, units and
+    meanings by name, and flags without events; `crossings`: function of the times of section crossings that returns the
+    states there; `fineness`: ratio of the number of samples to that of a lane.
     """
     tolerance = TIME_TOLERANCE * float(excerpt.shown)
     times = _sample_times(*path, ends, int(excerpt.returns), fineness)
-    states, flags = states_at(times)
     inside = np.unique(ends[(ends > times[0] + tolerance) & (ends < times[-1] - tolerance)])
-    before, after = (np.stack([*map(np.asarray, states_at(inside + by)[0].values())]) for by in (-tolerance, tolerance))
-    swing = np.ptp(np.stack([*map(np.asarray, states.values())]), axis=1)
+    sampled, flags = states_at(np.concatenate([times, inside - tolerance, inside + tolerance]))
+    table = np.stack([values for values, *_ in sampled.values()])
+    states, before, after = np.split(table, [len(times), len(times) + len(inside)], axis=1)
+    flags, swing = flags[: len(times)], np.ptp(states, axis=1)
     jumps = inside[(np.abs(after - before) > LEAST_JUMP * swing[:, None]).any(axis=0)]
     if jumps.size:
         nearest = jumps[np.searchsorted((jumps[1:] + jumps[:-1]) / 2, times)]
@@ -150,7 +152,8 @@ def _cell(
         sides = np.zeros(len(times))
         for index, side in enumerate((-tolerance, tolerance)):
             sides[np.searchsorted(times, jumps) + index] = side
-        states, flags = states_at(times + sides)
+        sampled, flags = states_at(times + sides)
+        states = np.stack([values for values, *_ in sampled.values()])
     for name in EVENT_PRIORITY:
         events = moments.get(name, np.zeros(0))
         indices = np.searchsorted(times, events - tolerance)
@@ -165,15 +168,17 @@ def _cell(
         note="" if excerpt.returns else "it passes no section",
         returns=int(excerpt.returns),
         duration=float(excerpt.shown),
-        columns=tuple(
-            StateColumn(name, *(printable(state.attrs.get(key, ""), 200) for key in ("units", "long_name")))
-            for name, state in states.items()
-        ),
+        columns=tuple(_column(name, unit, meaning) for name, (_, unit, meaning) in sampled.items()),
         time=times - float(excerpt.begin),
-        states={name: np.asarray(x.values) for name, x in states.items()},
+        states=dict(zip(sampled, states, strict=True)),
         flags=flags,
         section=crossings(passed) if len(passed) else {},
     )
+
+
+@lru_cache
+def _column(name: str, unit: str, meaning: str) -> StateColumn:
+    return StateColumn(name, printable(unit, 200), printable(meaning, 200))
 
 
 def _sample_times(times: np.ndarray, states: np.ndarray, events: np.ndarray, returns: int, fineness: int) -> np.ndarray:
@@ -229,34 +234,44 @@ def _batch_cells(
             if not (np.asarray(lane.clock.until(excerpt.recorded)) > 0).any():
                 break
         steps = {name: np.concatenate([part[name] for part in parts]) for name in Record._fields}
-        leaves, structure = jax.tree.flatten(constants)
-        cells = []
-        for index in range(state.shape[1]):
-            own = jax.tree.unflatten(structure, [np.broadcast_to(x, excerpt.recorded.shape)[index] for x in leaves])
-            record = Record(**{name: x[..., index] for name, x in steps.items()})
-            cells.append(cell_of_record(scene, record, event_times(scene, own, record), excerpt.of(index)))
-    return cells
+        # The steps of one lane after another, without those of lanes that wait for the others at their end.
+        taken = (steps["dt"] > 0) | steps["hits"].any(axis=1)
+        of, step = np.nonzero(taken.T)
+        after = np.concatenate([steps["mode"][1:], steps["mode"][-1:]])
+        after, *columns = (np.moveaxis(x, -1, 0)[of, step] for x in (after, *steps.values()))
+        record = Record(**dict(zip(steps, columns, strict=True)))
+        own = map_leaves(lambda x: np.broadcast_to(x, excerpt.recorded.shape)[of], constants)
+        ends = np.cumsum(taken.sum(axis=0)).tolist()
+        lanes = [slice(*pair) for pair in zip([0, *ends], ends, strict=False)]
+        return [
+            cell_of_record(scene, Record(*(x[lane] for x in record)), moments, excerpt.of(index))
+            for index, (lane, moments) in enumerate(
+                zip(lanes, event_times(scene, own, record, after, lanes), strict=True)
+            )
+        ]
 
 
-def event_times(scene: Scene[Any], c: Any, record: Record) -> dict[str, np.ndarray]:
-    """Return the times [s] of one lane's events by kind; under pulses, a pulse begins in place of a section crossing.
+def event_times(
+    scene: Scene[Any], c: Any, record: Record, after: np.ndarray | None = None, lanes: Sequence[slice] = (slice(None),)
+) -> Iterator[dict[str, np.ndarray]]:
+    """Yield the times [s] of each lane's events by kind; under pulses, a pulse begins in place of a section crossing.
 
-    `c`: constants of the scene, for this lane.
+    The arguments are those of [vibrojax.lanes.record.events][].
     """
-    times, kinds = events(scene, c, record)
-    moments = {name: times[kinds == flag] for flag, name in enumerate(EVENTS) if flag}
+    begins: np.ndarray | None = None
     pulse_begins = getattr(scene, "pulse_begins", None)
     if scene.section is None and pulse_begins is not None and "pulse" in scene.event_names:
         hits = dict(zip(scene.event_names, record.hits.T, strict=True))
         begins = np.asarray(pulse_begins(c, tuple(record.mode.T), hits))
-        moments["section"] = (record.start + record.dt)[begins]
-    return moments
+    for lane, (times, kinds) in zip(lanes, events(scene, c, record, after, lanes), strict=True):
+        moments = {name: times[kinds == flag] for flag, name in enumerate(EVENTS) if flag}
+        if begins is not None:
+            moments["section"] = (record.start[lane] + record.dt[lane])[begins[lane]]
+        yield moments
 
 
 def cell_of_record(scene: Scene[Any], record: Record, moments: Moments, excerpt: Excerpt) -> Cell:
     """Return the motion of one lane, given its record and the times [s] of its events by kind."""
-    taken = (record.dt > 0) | record.hits.any(axis=1)
-    record = Record(*(x[taken] for x in record))
     ends, after = np.asarray(record.start + record.dt), np.asarray(record.after)
     reached = float(ends[-1]) if len(ends) else 0.0
     begin, shown = float(excerpt.begin), float(excerpt.shown)
@@ -269,20 +284,21 @@ def cell_of_record(scene: Scene[Any], record: Record, moments: Moments, excerpt:
     places = (record.start[:, None] + record.dt[:, None] * fractions).ravel()
     places = np.unique(np.concatenate([places[(places > begin) & (places < begin + shown)], [begin, begin + shown]]))
     names = [name for name in scene.driving_part().return_states if name in scene.state_names]
+    whole = moving(record)
 
-    def states_at(times: Samples) -> tuple[Mapping[str, xr.Variable], np.ndarray]:
-        states, modes, step_of = sample(record, times)
+    def states_at(times: Samples) -> tuple[dict[str, tuple[Any, str, str]], np.ndarray]:
+        states, modes, step_of = sample(whole, times)
         flags = np.zeros(len(times), np.uint8)
         if isinstance(scene, HasFriction):
             flags |= np.where(modes[scene.mode_place("slip")] == 0, STUCK, 0).astype(np.uint8)
         if isinstance(scene, HasContact):
             flags |= np.where(modes[scene.mode_place("touching")] != 0, TOUCHING, 0).astype(np.uint8)
-        return states_shown(scene, SampledMotion(times, states, modes), record, step_of), flags
+        return states_shown(scene, SampledMotion(times, states, modes), whole, step_of), flags
 
     def crossings(passed: np.ndarray) -> dict[str, np.ndarray]:
         return {name: after[np.searchsorted(ends, passed), scene.place(name)] for name in names}
 
-    path = places, np.asarray(sample(record, places)[0])
+    path = places, np.asarray(sample(whole, places)[0])
     return _cell(excerpt, moments, path, ends[np.asarray(record.hits).any(axis=1)], states_at, crossings)
 
 
@@ -307,7 +323,9 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
     begin, end = excerpt.begin, excerpt.begin + excerpt.shown
     data = {name: state for name, state in data.items() if not name.endswith("_force")}
 
-    def states_at(times: Samples) -> tuple[Mapping[str, xr.DataArray], np.ndarray]:
+    about = {name: (str(x.attrs.get("units", "")), str(x.attrs.get("long_name", ""))) for name, x in data.items()}
+
+    def states_at(times: Samples) -> tuple[dict[str, tuple[Any, str, str]], np.ndarray]:
         """Return interpolated states; the striker touches the bit between an impact and a release."""
         flags, later = np.zeros(len(times), np.uint8), times + TIME_TOLERANCE * excerpt.shown
         if "stuck" in motion:
@@ -316,7 +334,7 @@ def cell_of(motion: xr.Dataset, lane: int = -1) -> Cell:
             flags |= np.where(stuck[np.clip(samples, 0, len(stuck) - 1)] == 1, STUCK, 0).astype(np.uint8)
         impacts, releases = (np.searchsorted(moments[name], later) for name in ("impact", "release"))
         flags |= np.where(impacts > releases, TOUCHING, 0).astype(np.uint8)
-        return {n: xr.DataArray(np.interp(times, time, x.values), attrs=x.attrs) for n, x in data.items()}, flags
+        return {name: (np.interp(times, time, x.values), *about[name]) for name, x in data.items()}, flags
 
     def crossings(passed: np.ndarray) -> dict[str, np.ndarray]:
         return {name: np.interp(passed, time, data[name].values) for name in SECTION_STATES if name in data}

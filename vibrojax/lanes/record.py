@@ -1,6 +1,6 @@
 """One lane step by step: the polynomial of every step is stored, so that states and forces are known at any time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from math import ceil
 from typing import Any, NamedTuple
@@ -200,22 +200,25 @@ def sample(
 ) -> tuple[Float[Array, "states samples"], Float[Array, "modes samples"], Int[Array, " samples"]]:
     """Return states and modes at `times` [s], and the index of the step that contains each sample.
 
-    The index counts only steps of nonzero length.
+    `record`: steps of nonzero length, see `moving`.
     """
-    moving = record.dt > 0
-    start, h = record.start[moving], record.h[moving]
+    start = record.start
     step = np.clip(np.searchsorted(start, times, side="right") - 1, 0, len(start) - 1)
-    tau = np.minimum(times - start[step], record.dt[moving][step]) / h[step]
-    states = _evaluate(record.polynomials[moving][step], tau)
-    return states.T, record.mode[moving][step].T, step
+    tau = np.minimum(times - start[step], record.dt[step]) / record.h[step]
+    return _evaluate(record.polynomials[step], tau).T, record.mode[step].T, step
 
 
-def accumulated(record: Record, state: int) -> Float[np.ndarray, " moving"]:
-    """Return the offset in each step of nonzero length that makes a state continuous in spite of its resets to zero."""
-    moving = record.dt > 0
-    polynomials = record.polynomials[moving][:, state : state + 1]
+def moving(record: Record) -> Record:
+    """Return the steps of nonzero length; the others only switch the mode."""
+    mask = record.dt > 0
+    return record if mask.all() else Record(*(x[mask] for x in record))
+
+
+def accumulated(record: Record, state: int) -> Float[np.ndarray, " steps"]:
+    """Return the offset in each step that makes a state continuous in spite of its resets to zero."""
+    polynomials = record.polynomials[:, state : state + 1]
     start = polynomials[:, 0, 0]
-    growth = _evaluate(polynomials, record.dt[moving] / record.h[moving])[:, 0] - start
+    growth = _evaluate(polynomials, record.dt / record.h)[:, 0] - start
     return np.concatenate([[0.0], np.cumsum(growth)[:-1]]) - start
 
 
@@ -309,11 +312,17 @@ Events = tuple[Float[np.ndarray, " events"], Int[np.ndarray, " events"]]
 """Events in the order of time: times [s], and kinds as indices into `KINDS`."""
 
 
-def events(scene: Scene[Any], c: Any, record: Record) -> Events:
-    """Return the events in the `record` of one lane. `c`: constants of the scene."""
+def events(
+    scene: Scene[Any], c: Any, record: Record, after: np.ndarray | None = None, lanes: Sequence[slice] = (slice(None),)
+) -> Iterator[Events]:
+    """Yield the events of each lane, whose steps are a slice of the `record`.
+
+    `c`: constants of the scene, for one lane or for each step; `after` (steps, modes): modes at the end of each step,
+    by default those of the next one.
+    """
     masks: dict[str, Bool[Array, " steps"]] = {}
     hits = dict(zip(scene.event_names, record.hits.T, strict=True))
-    after = np.concatenate([record.mode[1:], record.mode[-1:]])
+    after = np.concatenate([record.mode[1:], record.mode[-1:]]) if after is None else after
     masks |= scene.events_of(tuple(record.mode.T), tuple(after.T), hits)
     if isinstance(scene, HasFriction):
         place = scene.mode_place("slip")
@@ -326,18 +335,19 @@ def events(scene: Scene[Any], c: Any, record: Record) -> Events:
     if isinstance(scene, HasContact):
         masks["release"] = hits["contact"] & (record.mode[:, scene.mode_place("touching")] != 0)
     if scene.section is not None:
-        masks["section"] = _returns(scene, c, record)
-    if not masks:
-        return np.zeros(0), np.zeros(0, np.int8)
-    time = record.start + record.dt
-    kinds = np.concatenate([np.full(mask.sum(), KINDS.index(name)) for name, mask in masks.items()])
-    times = np.concatenate([time[mask] for mask in masks.values()])
-    order = np.argsort(times, kind="stable")
-    return times[order], kinds[order].astype(np.int8)
+        masks["section"] = _returns(scene, c, record, lanes)
+    time = np.asarray(record.start + record.dt)
+    numbers = np.array([KINDS.index(name) for name in masks], np.int8)
+    table = np.stack([*masks.values()]) if masks else np.zeros((0, len(time)), bool)
+    for lane in lanes:
+        kind, step = np.nonzero(table[:, lane])
+        times = time[lane][step]
+        order = np.argsort(times, kind="stable")
+        yield times[order], numbers[kind[order]]
 
 
-def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " steps"]:
-    """Return a mask of the steps that end in a section crossing.
+def _returns(scene: Scene[Any], c: Any, record: Record, lanes: Sequence[slice]) -> Bool[np.ndarray, " steps"]:
+    """Return a mask of the steps of `lanes` that end in a section crossing.
 
     A crossing counts only if the velocity has passed the re-arming level since the previous crossing.
     """
@@ -346,15 +356,14 @@ def _returns(scene: Scene[Any], c: Any, record: Record) -> Bool[np.ndarray, " st
     sign, marker = 1.0 if section.rising else -1.0, scene.marker_of(section.velocity)
     falling = record.falling[:, scene.marker_names.index(marker)]
     returns = record.hits[:, scene.event_names.index(marker)] & (~falling if section.rising else falling)
-    armed, passed = False, np.zeros(len(returns), bool)
+    passed = np.zeros(len(returns), bool)
     # A step that only switches the mode has length zero, and its velocity does not change.
     tau = np.where(record.dt > 0, record.dt / np.where(record.h > 0, record.h, 1), 0)
     velocity = [sign * coefficient for coefficient in record.polynomials[:, scene.place(section.velocity)].T]
-    low = np.asarray(lowest_velocity(velocity, tau)) < sign * float(np.ravel(section.rearm(c))[0])
-    for index in np.flatnonzero(returns | low):
-        armed = armed or bool(low[index])
-        passed[index] = returns[index] and armed
-        armed = armed and not passed[index]
+    low = np.asarray(lowest_velocity(velocity, tau)) < sign * np.ravel(section.rearm(c))
+    for lane in lanes:
+        places = np.flatnonzero(returns[lane])
+        passed[lane][places] = np.diff(np.cumsum(low[lane])[places], prepend=0) > 0
     return passed
 
 
@@ -395,19 +404,21 @@ def lowest_velocity(velocity: list[Array], tau: Array) -> Array:
 
 
 def scalars(c: Any) -> Any:
-    """Return the constants of one lane as scalars, which apply to all samples."""
-    return map_leaves(lambda x: np.asarray(x).reshape(()), c)
+    """Return the constants of one lane as scalars, which apply to all samples; those of many lanes remain."""
+    return map_leaves(lambda x: np.reshape(x, ()) if np.size(x) == 1 else x, c)
 
 
 def states_shown(
     scene: Scene[Any], motion: SampledMotion, record: Record | None, step_of: Int[Array, " samples"] | None
-) -> dict[str, xr.Variable]:
-    """Return the sampled states by name; with rock, x3 (bit) and x4 (hole) instead of `compression` and `growth`.
+) -> dict[str, tuple[np.ndarray, str, str]]:
+    """Return values, unit and meaning of the sampled states by name.
 
+    With rock, these are x3 (bit) and x4 (hole) instead of `compression` and `growth`.
     `growth` is reset to zero at each impact or pulse. x4 is its sum since the start, and x3 is x4 plus `compression`.
-    `record` holds all steps and `step_of` the step of each sample; without them, x3 and x4 are left out.
+    `record` holds all steps of nonzero length, and `step_of` the step of each sample; without them, x3 and x4 are left
+    out.
     """
-    variables: dict[str, xr.Variable] = {}
+    variables: dict[str, tuple[np.ndarray, str, str]] = {}
     x3 = x4 = None
     if isinstance(scene, HasRock) and record is not None and step_of is not None:
         growth = scene.place("growth")
@@ -415,11 +426,11 @@ def states_shown(
         x3 = x4 + motion.states[scene.place("compression")]
     for state, values in zip(scene.states, motion.states, strict=True):
         if state.shown:
-            variables[state.name] = along_time(values + state.offset, state.unit, state.long_name)
+            variables[state.name] = np.asarray(values + state.offset), state.unit, state.long_name
         elif state.name == "compression" and x3 is not None:
-            variables["x3"] = along_time(x3, "m", "normal position of the bit")
+            variables["x3"] = np.asarray(x3), "m", "normal position of the bit"
         elif state.name == "growth" and x4 is not None:
-            variables["x4"] = along_time(x4, "m", "depth of the hole")
+            variables["x4"] = np.asarray(x4), "m", "depth of the hole"
     return variables
 
 

@@ -204,7 +204,10 @@ def _features_along(
     return jax.jvp(lambda on: _features(scene, on, past, settle, observe, effort), (on,), (along,))
 
 
-def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, observe: Lanes, effort: Effort) -> Features:
+def _features(
+    scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, observe: Lanes, effort: Effort | None
+) -> Features:
+    """Return the features of lanes that begin on their orbits; without an `effort`, before they are stepped."""
     rows = dict(zip(scene.driving_part().return_states, on.state, strict=True))
     zero = jnp.zeros_like(on.period)
     state = tuple(rows.get(name, zero) for name in scene.state_names)
@@ -218,9 +221,13 @@ def _features(scene: Scene[Any], on: _OnOrbit, past: Array, settle: Lanes, obser
     carry = recorder.settling(scene, lane)
     if isinstance(recorder, Recorder):
         carry = on_orbit(carry, past, on.when, on.period)
-    underway = LaneState(*with_derivatives((lane, carry)), zero)
-    underway = settle_block(scene, Varied(), recorder, c, underway, settle, effort)
-    _, features = observe_block(scene, Varied(), recorder, c, underway, settle, observe, effort)
+    if effort is None:
+        features = recorder.read(scene, c, recorder.begin(scene, c, lane, carry))
+    else:
+        underway = LaneState(*with_derivatives((lane, carry)), zero)
+        if scene is not scene.driving_part():  # only a driven part has to settle
+            underway = settle_block(scene, Varied(), recorder, c, underway, settle, effort)
+        _, features = observe_block(scene, Varied(), recorder, c, underway, settle, observe, effort)
     if "impacts" in features:  # per section crossing, because the observation is too short to detect a repeat
         quantities = derived_quantities(scene, features | {"cycles": zero + 1}, HOLE_RADIUS, jnp)
         features |= {name: x for name, x in quantities.items() if name != "specific_energy"}
@@ -234,9 +241,8 @@ def _measured_names(scene: Scene[Any]) -> tuple[str, ...]:
         lane = jnp.ones(1)
         rows = len(scene.driving_part().return_states)
         on = _OnOrbit(dict.fromkeys(scene.parameters(), lane), jnp.ones((rows, 1)), jnp.ones((8, 1)), lane)
-        past, effort = jnp.ones((8, rows, 1)), Effort(DERIVATIVE_ACCURACY, 1.0)
-        shapes = jax.eval_shape(lambda on, effort: _features(scene, on, past, lane, lane, effort), on, effort)
-        return tuple(shapes)
+        past = jnp.ones((8, rows, 1))
+        return tuple(jax.eval_shape(lambda on: _features(scene, on, past, lane, lane, None), on))
 
 
 def _measured(

@@ -2,8 +2,9 @@
 
 import _thread
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cache, partial
-from threading import Event, Lock, Timer
+from threading import Event, Lock, Thread, Timer
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -14,7 +15,7 @@ from jaxtyping import Bool, Float
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.lanes.inputs import Features
 from vibrojax.maps.read import Point
-from vibrojax.periodic.derivatives import MARGIN, STABILITY, OrbitFeatures, orbit_variables
+from vibrojax.periodic.derivatives import MARGIN, STABILITY, OrbitFeatures, differentiated, orbit_variables
 from vibrojax.periodic.lane_stages import run_lanes
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.arrays import Array, check_untraced
@@ -153,6 +154,15 @@ class Branch:
         valid = (reached == x).all(axis=1) & (values[:, self.of.index(STABILITY)] < 0)
         return Evaluated(values, derivatives, valid & np.isfinite(derivatives).all(axis=(1, 2)), reached)
 
+    def _compile(self) -> None:
+        """Compile the programs of derivatives, which no orbit needs, while the first one is found."""
+        scene, none = self.point.system, np.zeros(0)
+        states = np.zeros((0, len(scene.driving_part().return_states)))
+        with suppress(Exception):  # it is raised again where a result is needed
+            differentiated(
+                scene, self.of, self.by, dict.fromkeys(scene.parameters(), none), states[:, None], states, none
+            )
+
     def _parameters(self, x: Points) -> dict[str, np.ndarray]:
         fixed = {name: np.full(len(x), value) for name, value in self.point.parameters.items()}
         return fixed | {name: x[:, k] for k, name in enumerate(self.by)}
@@ -177,6 +187,7 @@ class Branch:
     def _begin(self, x: Float[np.ndarray, " by"]) -> None:
         """Find the first orbit: at `x`, or else the nearest of the stable orbits at points around it."""
         scene = self.point.system
+        Thread(target=self._compile).start()
         corners = np.concatenate([np.eye(len(x)), -np.eye(len(x)), np.ones((1, len(x))), -np.ones((1, len(x)))])
         around = [x + share * corners * self._scale for share in SEARCHED]
         defaults = np.array([[self.point.parameters[name] for name in self.by]])

@@ -22,6 +22,7 @@ from vibrojax.lanes.record import (
     check_size,
     events,
     forces,
+    moving,
     sample,
     states_shown,
     window,
@@ -184,19 +185,21 @@ class Trajectories(MachineAnalysis[Point]):
                 rest = accuracy, self.solver or "Tsit5", 1e-3 * request.error
                 motion, count, kind = adaptive(system, constants, state, times, *rest)
                 solver |= {"steps": count, **accuracy.described(), "solver": kind}
-                variables: dict[str, Any] = states_shown(system, motion, None, None)
+                sampled = states_shown(system, motion, None, None)
             else:
                 bar = Progress(duration, "s simulated", progress and sys.stderr.isatty(), pace=False)
                 steps, recording = recorded(
                     point, stepper, constants, accuracy, duration, bar.reach, most_steps, progress
                 )
-                states, modes, step_of = sample(steps, times)
+                whole = moving(steps)
+                states, modes, step_of = sample(whole, times)
                 motion = SampledMotion(times, states, modes)
                 solver |= {"steps": len(steps.dt), **accuracy.described()}
-                moments, kinds = events(system, constants, steps)
-                variables = dict(states_shown(system, motion, steps, step_of))
+                [(moments, kinds)] = events(system, constants, steps)
+                sampled = states_shown(system, motion, whole, step_of)
                 begin, observe = window(system, duration)
                 about |= {"run": json.dumps({"settle": begin, "observe": observe})} if recording else {}
+            variables: dict[str, Any] = {name: along_time(*state) for name, state in sampled.items()}
             smooth = stepper is None or stepper.smooths
             variables |= forces(system, constants, motion, accuracy.smoothing if smooth else None)
         LOG.info("chosen: %s, %d samples", json.dumps(solver), len(times))
