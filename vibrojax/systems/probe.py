@@ -15,6 +15,7 @@ from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.units import is_drawn_unit
 from vibrojax.systems.events import KINDS_OF_POINTS, Event, Friction, Impact, Switch, required_arguments
+from vibrojax.systems.kinks import tried
 from vibrojax.systems.numbers import Dual, Plain
 
 LANES = 3
@@ -210,8 +211,9 @@ class Probe:
             self._sides = before
 
     def _in_all(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
-        """Return the values of a function on all sides of the switches and in all discrete states."""
-        return [self._at(sides, function, *arguments) for known in self.everywhere.values() for sides in known]
+        """Return the values of a function on all sides of switches, in all discrete states and formulas of kinks."""
+        known = [sides for some in self.everywhere.values() for sides in some]
+        return [calls.during(self._at, sides, function, *arguments) for calls in tried() for sides in known]
 
     def _jump(self, event: Any, t: Any) -> Mapping[str, Any]:
         """Return the new values that a reset gives."""

@@ -126,13 +126,14 @@ class Structure(Probe):
         events = dict(enumerate(self._events))
         first, *others = self._in_all(self.velocities)
         speeds = {key: speed for key, speed in first.items() if all(other.get(key) == speed for other in others)}
+        still, *stills = self._in_all(self._still_stops, speeds)
         depends = {i: set().union(*self._in_all(self._depends, partial(self._kept, e))) for i, e in events.items()}
         self._check_surfaces()
         moves = {i: set().union(*self._in_all(self._moves, event)) for i, event in events.items()}
         held = [i for i, event in events.items() if not isinstance(event, Impact) or event.velocity is not None]
         floors = any(kink.whole for kink in self.kinks)
         return Dependences(
-            still=self._still_stops(speeds),
+            still={i: sign for i, sign in still.items() if all(other.get(i) == sign for other in stills)},
             speeds=speeds,
             switching={
                 event.name: sorted(depends[i], key=list(self._y).index)
