@@ -51,6 +51,39 @@ def test_kinks_are_located():
     assert ends(inside, [0.5], 0.25 + np.log(2) + 1.0) == pytest.approx([-np.e], abs=1e-7)
 
 
+def test_stop_that_vibrates_faster_than_the_mass_moves():
+    """It is hit at the first of the times at which x = t/2 exceeds 0.5 + cos(500 t)/100."""
+    stop = vj.Impact("stop", lambda t, y, p: 0.5 - y["x"] + 0.01 * cos(500 * t), velocity="v", restitution=0.5)
+    excess, times = lambda t: 0.5 * t - 0.5 - 0.01 * np.cos(500 * t), np.linspace(0, 2, 100001)
+    hit = brentq(excess, *times[np.argmax(excess(times) > 0) + [-1, 0]], xtol=1e-15)
+    speed = ends(mass(lambda t, y, p: 0.0, stop, period=2 * np.pi), [0.0, 0.5], hit + 1e-4, error=1e-8)[1]
+    assert speed == pytest.approx(-7.5 * np.sin(500 * hit) - 0.25, rel=1e-6)
+
+
+def test_clearances_hide_no_structure():
+    """Beyond a clearance, sharp or smooth, a time moves a state; a ball rides on a table that moves later."""
+    grows = one_state(lambda t, y, p: cos(t) * E.maximum(y["x"] - p["b"], 0.0), parameters={"b": 5.0})
+    assert ends(grows, [6.0], 2.0)[0] == pytest.approx(5 + np.exp(np.sin(2.0)), rel=1e-7)
+    smooth = one_state(lambda t, y, p: (1 + E.tanh(50 * (y["x"] - p["b"]))) * cos(t), parameters={"b": 5.0})
+    assert ends(smooth, [6.0], 1.0)[0] == pytest.approx(6 + 2 * np.sin(1.0), rel=1e-7)
+    rises = lambda t: 0.2 * E.maximum(E.sin(t) - 0.5, 0.0) ** 3  # noqa: E731
+    table = vj.Impact("table", lambda t, y, p: y["x"] - rises(t), velocity="v", restitution=0.5)
+    ball = mass(lambda t, y, p: -1.0, table, period=2 * np.pi)
+    assert ends(ball, [0.0, 0.0], 1.5)[0] == pytest.approx(float(rises(1.5)), rel=1e-7)
+
+
+def test_stiff_contact_beyond_a_clearance():
+    """A mass comes back from the contact after half a period of its own."""
+    bounces = mass(lambda t, y, p: -1e8 * E.maximum(y["x"] - 1.0, 0.0), period=10.0)
+    assert ends(bounces, [0.0, 1.0], 1.5, error=1e-8) == pytest.approx([0.5 + np.pi * 1e-4, -1.0], abs=1e-7)
+
+
+def test_steep_regularised_friction_from_speeds_at_which_it_is_flat():
+    """A mass slows down for 1 s from 1.5 to the speed 0.5 of a belt, and then moves with it."""
+    rubs = mass(lambda t, y, p: -E.tanh(1e7 * (y["v"] - 0.5)), period=10.0)
+    assert ends(rubs, [0.0, 1.5], 3.0, error=1e-8) == pytest.approx([2.0, 0.5], abs=1e-7)
+
+
 def test_rate_where_the_zero_state_has_no_derivative():
     """A fall with quadratic drag, written with a root, ends on the speed 1 m/s as tanh t."""
     fall = mass(lambda t, y, p: -1.0 - E.sqrt(y["v"] ** 2) * y["v"])

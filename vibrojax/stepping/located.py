@@ -45,6 +45,9 @@ errors three times as large; at 1e-6 and 1e-9 it takes 31 and 47 % less."""
 CHANGE_TOLERANCES = 10.0
 """Greatest relative magnitude of the last terms in series of small changes, in tolerances of the motion."""
 
+GUARD_TOLERANCES = 100.0
+"""Greatest relative magnitude of the last terms in series of guards, in tolerances of the motion."""
+
 LEAST_ORDER = 2
 """Least order of the series: the length of a step follows from the last two terms."""
 
@@ -132,6 +135,8 @@ class Located(Stepper):
         # The series counts as converged where its last two terms are below tolerance times scale.
         last = reduce(jnp.maximum, [jnp.abs(c) for series in terms for c in series[-2:]])
         converged = jnp.minimum(rough_root(accuracy.tolerance * scale / last, self.order - 1), 1.0)
+        if scene.ends_at_once and scene.guard_names:
+            converged = jnp.minimum(converged, self._described(scene, constants, lane, functions, accuracy.tolerance))
         trusted = jnp.where(rest, 1.0, converged)
         reach = self.narrowed(scene, constants, lane, h, trusted, accuracy.tolerance)
         event, functions = self.passing(event, functions, polynomials, lane, reach)
@@ -144,6 +149,21 @@ class Located(Stepper):
             landing = self._confirmed(event, trial, landing, scales, accuracy.tolerance)
         h = jnp.where(goal.moving & rest, lane.clock.until(goal.end), h)
         return taken(event, lane, trial, h, landing)
+
+    def _described(
+        self, scene: Scene[Any], constants: Any, lane: Lane, functions: list[list[Array]], tolerance: Real
+    ) -> Array:
+        """Return the part of a trial step over which the series of guards have converged.
+
+        A guard may change faster than the states, as that of a stop that vibrates. Its events would be missed.
+        """
+        sizes = scene.typical_guard_values(constants, lane.mode, lane.state)
+        terms = []
+        for size, (value, *_, before, last) in zip(sizes, functions, strict=False):
+            scale = jnp.maximum(size, jnp.abs(value))
+            terms.append(jnp.where(scale > 0, jnp.maximum(jnp.abs(before), jnp.abs(last)) / scale, 0.0))
+        most = reduce(jnp.maximum, terms)
+        return rough_root(GUARD_TOLERANCES * tolerance / most, self.order - 1)
 
     def _confirmed(
         self, event: Event, trial: Trial, landing: Landing, scales: Sequence[Array], tolerance: Array

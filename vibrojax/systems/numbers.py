@@ -251,6 +251,49 @@ def _power_rounded(x: Rounded, exponent: Any) -> Any:
     return type(x)(y, jnp.abs(y) * (1.0 + jnp.abs(exponent) * x.size / jnp.abs(x.value)))
 
 
+class Degree(_Number):
+    """The degree of a function in the states: 0, 1, or 2 for any nonlinear one, however flat it is at most states."""
+
+    def __init__(self, value: int):
+        self.value = value
+
+    @classmethod
+    def of(cls, x: Any) -> int:
+        """Return the degree of a number of any type."""
+        return x.value if isinstance(x, cls) else 0
+
+    def __add__(self, other: Any) -> Any:
+        return Degree(max(self.value, Degree.of(other)))
+
+    def __mul__(self, other: Any) -> Any:
+        return Degree(min(self.value + Degree.of(other), 2))
+
+    def __truediv__(self, other: Any) -> Any:
+        return Degree(min(self.value + 2 * Degree.of(other), 2))
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return Degree(min(2 * self.value, 2))
+
+
+for _name in (*_DERIVATIVES, "power"):
+    getattr(elementary, _name).register(Degree, lambda x, *exponent: Degree(min(2 * x.value, 2)))
+elementary.magnitude.register(Degree, lambda x: x)
+elementary.greater.register(Degree, lambda x, y: x + y)
+elementary.whole.register(Degree, lambda x: Degree(0))
+
+
+EQUAL = 1e-12
+"""Relative difference up to which two probed values are equal. States and parameters may have any units, so that no
+absolute difference is small."""
+
+
+def equal(a: Any, b: Any, tolerance: float = EQUAL) -> bool:
+    """Return whether two values have at most the relative difference `tolerance` in all lanes."""
+    a, b = np.asarray(a), np.asarray(b)
+    with np.errstate(all="ignore"):
+        return bool((np.abs(a - b) <= tolerance * np.maximum(np.abs(a), np.abs(b))).all())
+
+
 def slope_along(equation: Equation, t: Any, y: Mapping[str, Any], rates: Sequence[Any], t_rate: float = 1.0) -> Any:
     """Return the derivative of `equation(t, y)` if the states change at `rates` and the time at `t_rate`."""
     return slopes_along(lambda t, y: [equation(t, y)], t, y, rates, t_rate)[0]

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -15,7 +16,8 @@ from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.physics.parameters import Parameter
 from vibrojax.physics.units import is_drawn_unit
 from vibrojax.systems.events import KINDS_OF_POINTS, Event, Friction, Impact, Switch, required_arguments
-from vibrojax.systems.numbers import Dual, Plain
+from vibrojax.systems.kinks import tried
+from vibrojax.systems.numbers import Dual, Plain, equal
 
 LANES = 3
 """Number of lanes with which the functions are tried."""
@@ -40,15 +42,14 @@ REPEATED, ROUNDED = 1e-9, 1e-13
 SHARES = np.random.default_rng(3).uniform(0.0, 1.0, (20, LANES))
 """Times at which functions are compared with other times: some fall into pulses that last a tenth of a period."""
 
+SIZES = (1.0, -1.0, 30.0, -30.0, 1e-3, 1e-6, 1e-9, 0.0)
+"""Factors of the random states at which a time is sought: far from its range, a smooth contact is exactly zero."""
+
 MOST_HELD = 16
 """Greatest number of combinations of discrete states with which functions are tried."""
 
 Corner = tuple[float, ...]
 """A combination of the sides of the switches, each 1 or -1."""
-
-EQUAL = 1e-12
-"""Relative difference up to which two probed values are equal. States and parameters may have any units, so that no
-absolute difference is small."""
 
 
 class Probe:
@@ -210,8 +211,11 @@ class Probe:
             self._sides = before
 
     def _in_all(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
-        """Return the values of a function on all sides of the switches and in all discrete states."""
-        return [self._at(sides, function, *arguments) for known in self.everywhere.values() for sides in known]
+        """Return the values of a function on all sides of switches, in all discrete states and formulas of kinks."""
+        known = [sides for some in self.everywhere.values() for sides in some]
+        run = lambda calls: [calls.during(self._at, sides, function, *arguments) for sides in known]  # noqa: E731
+        first, *others = tried()
+        return run(first) + [value for calls in others if first.kinds for value in run(calls)]
 
     def _jump(self, event: Any, t: Any) -> Mapping[str, Any]:
         """Return the new values that a reset gives."""
@@ -400,8 +404,13 @@ class Probe:
 
     def depends_on_time(self) -> bool:
         """Return whether the field or an event depends on the time."""
-        first, *others = self._at_times([self._t, *(Plain.of(1e6**share) for share in SHARES)])
-        return not all(np.array_equal(first, other, equal_nan=True) for other in others)
+        for size in SIZES:
+            probe = copy(self)
+            probe._y = {key: Plain.of(size * y) for key, y in self._y.items()}
+            first, *others = probe._at_times([self._t, *(Plain.of(1e6**share) for share in SHARES)])
+            if not all(np.array_equal(first, other, equal_nan=True) for other in others):
+                return True
+        return False
 
     def _at_times(self, times: Sequence[Any]) -> Any:
         """Return the field and the events on all sides (times, values, lanes)."""
@@ -436,13 +445,6 @@ def _normal(event: Event) -> tuple[str, Any]:
 def _is_level(section: tuple[Any, ...]) -> bool:
     """Return whether a section is a pair of a state and a finite number."""
     return len(section) == 2 and isinstance(section[1], int | float) and math.isfinite(section[1])
-
-
-def equal(a: Any, b: Any, tolerance: float = EQUAL) -> bool:
-    """Return whether two values have at most the relative difference `tolerance` in all lanes."""
-    a, b = np.asarray(a), np.asarray(b)
-    with np.errstate(all="ignore"):
-        return bool((np.abs(a - b) <= tolerance * np.maximum(np.abs(a), np.abs(b))).all())
 
 
 def _is_unit(unit: object) -> bool:

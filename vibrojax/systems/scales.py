@@ -102,7 +102,8 @@ class SystemScales(SystemEquations):
         return rate
 
     def rate_along(self, c: SystemConstants, mode: Values, state: Values) -> Any:
-        if self._flow.rate is not None or self._flow.structure.linear:
+        # A field with kinks, such as a stiff contact, may change much faster than where the motion begins.
+        if self._flow.rate is not None or (self._flow.structure.linear and not self._flow.kinks):
             return self.rate(c, mode)
         return self._flow.quickest(c, mode, *self._known(state))
 

@@ -12,8 +12,8 @@ from vibrojax.lazy import lax
 from vibrojax.systems.events import Event, Friction, Impact, Switch, required_arguments
 from vibrojax.systems.flow import Dependences
 from vibrojax.systems.kinks import Function, Kink
-from vibrojax.systems.numbers import Dual, Plain, array_of, slope_along, slopes_along
-from vibrojax.systems.probe import EQUAL, LANES, REPEATED, ROUNDED, Corner, Probe, equal
+from vibrojax.systems.numbers import EQUAL, Degree, Dual, Plain, array_of, equal, slope_along
+from vibrojax.systems.probe import LANES, REPEATED, ROUNDED, Corner, Probe
 
 MOVED = 0.1
 """Change of a state that shows whether a function depends on it; random states are of order one."""
@@ -126,13 +126,14 @@ class Structure(Probe):
         events = dict(enumerate(self._events))
         first, *others = self._in_all(self.velocities)
         speeds = {key: speed for key, speed in first.items() if all(other.get(key) == speed for other in others)}
+        still, *stills = self._in_all(self._still_stops, speeds)
         depends = {i: set().union(*self._in_all(self._depends, partial(self._kept, e))) for i, e in events.items()}
         self._check_surfaces()
         moves = {i: set().union(*self._in_all(self._moves, event)) for i, event in events.items()}
         held = [i for i, event in events.items() if not isinstance(event, Impact) or event.velocity is not None]
         floors = any(kink.whole for kink in self.kinks)
         return Dependences(
-            still=self._still_stops(speeds),
+            still={i: sign for i, sign in still.items() if all(other.get(i) == sign for other in stills)},
             speeds=speeds,
             switching={
                 event.name: sorted(depends[i], key=list(self._y).index)
@@ -221,19 +222,9 @@ class Structure(Probe):
 
     def _linear(self) -> bool:
         """Return whether the field is linear in the states and friction coefficients are constant."""
-        for event in self._events:
-            if isinstance(event, Friction):
-                for speed in (0.0, 0.3):  # a steep law is flat at most speeds
-                    coefficient = event.coefficient(Dual(Plain.of(speed), 1.0, 1), self._p)
-                    if isinstance(coefficient, Dual) and bool(np.any(np.asarray(coefficient.slope) != 0)):
-                        return False
-        moved = {key: x + MOVED * (2 + k) for k, (key, x) in enumerate(self._y.items())}
-        directions = [[float(key == unit) for key in self._y] for unit in self._y]
-        fields = lambda t, y: [*self.rates(t, y, number=False).values()]  # noqa: E731
-        slopes = (
-            [x for each in directions for x in slopes_along(fields, self._t, y, each, 0.0)] for y in (self._y, moved)
-        )
-        return all(np.array_equal(*pair) for pair in zip(*slopes, strict=True))
+        laws = [event.coefficient(Degree(1), self._p) for event in self._events if isinstance(event, Friction)]
+        rates = self.rates(self._t, dict.fromkeys(self._y, Degree(1)), number=False)
+        return all(Degree.of(x) == 0 for x in laws) and all(Degree.of(x) < 2 for x in rates.values())
 
     def _check_surfaces(self) -> None:
         """Refuse two switches or frictions with one surface: neither decides alone on which side the motion is."""
