@@ -382,7 +382,7 @@ def test_studies_show_their_numbers():
     texts_shown = [layer.text for layer in sheet_of(SLOPES).plots[0].layers[1:]]
     assert texts_shown == ["0.2", "−0.7"]
     drive, any_start = sheet_of(BORDERS).plots
-    assert drive.title == "start drive: 40 % of the plane"
+    assert drive.title == "start drive: 40 %"
     assert labels(sheet_of(BORDERS)) == ["basin (the start leads elsewhere)"]
     assert any_start.layers[0].text.replace("\n", " ") == "no border: a single impact is stable everywhere"
     along = sheet_of(ATTRACTORS).plots[0]

@@ -118,7 +118,7 @@ def _map_contents(
     if page:
         page |= {"without": problem} | (overlay_document(ds, over) if over is not None else {})
         # A map over two parameters is drawn by the page; what else the picture shows is added.
-        is_map = len(long_axes(ds)) >= 2 and kind_of(ds) == "sweep"
+        is_map = kind_of(ds) == "sweep" and (len(long_axes(ds)) >= 2 or len(page["axes"][0]["columns"] or ()) >= 2)
         page["figure"] = None if is_map else _picture_document(ds, page)
     return page, cells
 
@@ -195,11 +195,13 @@ def summary_parts(ds: xr.Dataset) -> list[Document]:
     except Exception as error:
         LOG.info("explore: no summary: %s", error)
         return []
-    greek = {name: sign for name, sign in symbols_of(ds).items() if len(sign) == 1 and not sign.isascii()}
-    names = re.compile(rf"\b({'|'.join(greek) or '(?!)'})\b")
+    signs = {name: sign for name, sign in symbols_of(ds).items() if not sign.isascii()}
+    names = re.compile(rf"\b({'|'.join(signs) or '(?!)'})\b")
 
     def lines(part: SummaryPart) -> list[str]:
-        return [names.sub(lambda name: greek[name[0]], document.one_line(line)) for line in part.lines[:200]]
+        texts = (names.sub(lambda name: signs[name[0]], document.one_line(line)) for line in part.lines[:200])
+        minus = (re.sub(r"(?<![\w)−-])-(?=\d)", "−", text) for text in texts)
+        return ["  " * line.startswith(" ") + text for line, text in zip(part.lines, minus, strict=False)]
 
     return [{"name": part.name, "lines": lines(part)} for part in parts if part.lines]
 

@@ -44,7 +44,7 @@ _NEEDED = {
     "torque_stick_slip": ("time", "torque"),
 }
 SCHEMA = {
-    "specific_energy": Variable("J m-3", "mechanical specific energy W/A + omega T/(A R) (Teale 1965)"),
+    "specific_energy": Variable("J m-3", "mechanical specific energy W/A + ω T/(A R) (Teale 1965)"),
     "percussive_specific_energy": Variable("J m-3", "impact power over the volume drilled per second"),
     "torque_stick_slip": Variable(
         "1", "stick-slip index (Tmax - Tmin)/(2 Tmean) of the surface torque over 30 s around the row"
@@ -92,7 +92,7 @@ def rig(
         vj.picture(log)
 
     With the weight W [N], the rotary speed omega [rad/s], the torque T [N m], the rate of penetration R [m/s] and the
-    area A of a bit of the given diameter, the mechanical specific energy is W/A + omega T/(A R) (Teale 1965). The
+    area A of a bit of the given diameter, the mechanical specific energy is W/A + ω T/(A R) (Teale 1965). The
     percussive specific energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per
     second.
 
