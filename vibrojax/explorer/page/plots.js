@@ -49,7 +49,7 @@ const labelColour = (colour, ink) => { const own = legible(colour, ink); return 
 
 /** The colour of a value's mark; those of a scale keep their order. */
 export function markColour(grid, variable, value, ink) {
-  const colour = grid.colour(variable, value, ink.undefined);
+  const colour = grid.colour(variable, value, ink);
   return variable.flags && colour !== ink.undefined ? labelColour(colour, ink) : colour;
 }
 
