@@ -102,7 +102,7 @@ def _draw_plots(figure: Figure, sheet: Sheet) -> None:
         row, column, deep, wide = plot.span
         part = grid[row : row + deep, column : column + wide]
         # The colour bar below a tall panel takes no room from the rows beside it.
-        part = GridSpecFromSubplotSpec(1, 1, part)[0] if deep > 1 else part
+        part = GridSpecFromSubplotSpec(1, 1, part)[0] if deep > 1 and plot.scale else part
         panels.append(figure.add_subplot(part))
         _draw_plot(panels[-1], plot, shown)
     for value in {id(plot.scale): plot.scale for plot in shown if plot.scale is not None}.values():

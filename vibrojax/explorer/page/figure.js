@@ -39,12 +39,12 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       else read("", x, y, { texts: colours.map((own, k) => (values.length ? numberText(values[k]) : nameOf(item, own, item.shape, "line"))) });
     } else if (item.kind === "area") {
       c.globalAlpha = item.alpha;
-      c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 0.5 ? colour(item.colour) : item.colour;
+      c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 0.5 ? colour(item.colour) : isPale(item.colour) ? ink.pale : item.colour;
       c.beginPath();
       x.forEach((value, k) => (k ? c.lineTo(sx(value), sy(y[k])) : c.moveTo(sx(value), sy(y[k]))));
       c.closePath();
       c.fill();
-      if (item.alpha === 1) { Object.assign(c, { strokeStyle: item.at && colour(item.colour) !== item.colour ? ink.faint : c.fillStyle, lineWidth: 0.6 }); c.stroke(); }  // else hairlines part neighbours
+      if (item.alpha === 1) { Object.assign(c, { strokeStyle: item.at && (isPale(item.colour) || colour(item.colour) !== item.colour) ? ink.faint : c.fillStyle, lineWidth: 0.6 }); c.stroke(); }  // else hairlines part neighbours
       c.globalAlpha = 1;
       const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
       if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]], ...(item.at[1] === y[2] ? { low: [y[0]] } : {}) });

@@ -293,7 +293,7 @@ export function drawSign(c, key, left, top, ink) {
     levelLine(c, y, { left: left + 1, right: left + wide - 1 }, own, 2, dash);
     if (marker) spot(marker);
   } else if (shape === "patch") {
-    c.fillStyle = colour === "hatched" ? ink.undefined : ink[colour] ?? colour;
+    c.fillStyle = colour === "hatched" ? ink.undefined : ink[colour] ?? (isPale(colour) ? ink.pale : colour);
     c.fillRect(middle - 6, y - 6, 12, 12);
     c.strokeStyle = ink.faint;
     c.lineWidth = 1;
