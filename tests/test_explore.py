@@ -7,6 +7,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+import drawn
 import numpy as np
 import pytest
 import xarray as xr
@@ -22,6 +23,7 @@ import vibrojax as vj
 from vibrojax.explorer import Cell, cell_of, contents_of, encode, module_text, write, write_page
 from vibrojax.explorer.encoding import EVENTS, STATE_LEVELS, StateColumn
 from vibrojax.explorer.plots_view import figure_document
+from vibrojax.explorer.views import summary_parts
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 from vibrojax.pictures.motion import states_over_time
@@ -95,6 +97,11 @@ def test_cells_are_closed_orbits_of_their_lanes(plane, cells):
         assert (cell.flags & 7 == EVENTS.index("impact")).sum() == impacts
         assert all(abs(values[-1] - values[0]) < 1e-3 * np.ptp(values) for values in cell.states.values())
         assert cell.multipliers is not None and cell.multipliers[0, 0] < 1.0
+
+
+def test_summary_has_the_symbols_of_the_pictures():
+    [part] = summary_parts(drawn.rock({"k3": [1e8, 3e8], "force": [1e5, 3e5]}))
+    assert part["lines"][1].startswith("largest at k₃=1e+08")
 
 
 def test_states_before_and_after_an_impact_are_at_its_own_time():

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from refusals import refusal
 
 import vibrojax as vj
+from vibrojax.explorer.plots_view import items_of
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.io.variables import REGIMES
 from vibrojax.pictures.axes import broken_title, value_text
@@ -22,8 +23,9 @@ from vibrojax.pictures.colours import REGIME_COLOURS
 from vibrojax.pictures.contents import Contents, returns_in
 from vibrojax.pictures.draw import draw
 from vibrojax.pictures.hole import pulses
+from vibrojax.pictures.layout import Facets
 from vibrojax.pictures.motion import states_over_time, trajectory
-from vibrojax.pictures.plots import Area, Bars, Points, Text
+from vibrojax.pictures.plots import Area, Bars, Line, Points, Text
 from vibrojax.pictures.returns import bifurcation
 from vibrojax.pictures.style import NO_VALUE, plain
 from vibrojax.studies.analysis import analysis_named, analysis_of
@@ -206,6 +208,21 @@ def test_titles_break_between_words():
     assert broken_title("upper\nC = 21.5 ± 0.7 m/h", 24) == "upper\nC = 21.5 ± 0.7 m/h"
 
 
+def test_rates_in_a_column_have_panels_of_one_width_and_whole_lines():
+    ds = EXPECTED["rates"]()
+    slips = sheet_of(ds).plots[2]
+    assert slips.y.name == "slip_per_impact"
+    assert {layer.dash for layer in slips.layers if isinstance(layer, Line)} == {"-", ""}
+    panels = vj.picture(ds, width="85mm").axes
+    assert len({round(axes.get_position().width, 2) for axes in panels}) == 1
+    assert panels[0].get_xlabel().startswith("pulses") and panels[1].get_xlabel() == "relief P/D"
+
+
+def test_facets_fill_their_rows():
+    places = Facets(("",) * 10, (xr.Dataset(),) * 10, (5, 2)).places(6)  # five gaps, each from two starts
+    assert places == [(start, gap) for gap in range(5) for start in range(2)]
+
+
 def test_maps_show_lanes_named_in_their_titles():
     ds = lanes(square(7, delta=[-0.005, 0.005]))
     sheet = sheet_of(ds)
@@ -367,6 +384,7 @@ def test_studies_show_their_numbers():
     assert alone.width.tolist() == [0.4, 0.6] == total.width.tolist()
     assert np.argwhere(np.isfinite(pairs.layers[0].values)).tolist() == [[1, 0]]
     assert np.argwhere(np.isfinite(pairs.layers[1].values)).tolist() == [[1, 0]]  # pale: within its error
+    assert [item["colours"] for item in items_of(pairs) if item["kind"] == "cells"][1] == ["#f2f2f2"]
     sides = sheet_of(PUSHES).plots[0]
     assert [layer.height[0] for layer in sides.layers if isinstance(layer, Bars)] == pytest.approx([2e-3, 1e-3])
     assert [layer.text for layer in sides.layers if isinstance(layer, Text)] == ["0.001"]
@@ -379,7 +397,7 @@ def test_studies_show_their_numbers():
     texts_shown = [layer.text for layer in sheet_of(SLOPES).plots[0].layers[1:]]
     assert texts_shown == ["0.2", "−0.7"]
     drive, any_start = sheet_of(BORDERS).plots
-    assert drive.title == "start drive: 40 % of the plane"
+    assert drive.title == "start drive: 40 %"
     assert labels(sheet_of(BORDERS)) == ["basin (the start leads elsewhere)"]
     assert any_start.layers[0].text.replace("\n", " ") == "no border: a single impact is stable everywhere"
     along = sheet_of(ATTRACTORS).plots[0]
@@ -401,6 +419,22 @@ def test_rows_beyond_the_panel_of_a_fit_are_counted():
     assert "η = P/D, the mean force over the threshold" in sheet_of(fit).note
     assert plot.x.label == "relief P/D\n2 rows outside the panel"
     assert {"data", "left out of the fit"} <= {*labels(sheet_of(fit))}
+
+
+def test_a_fit_prints_its_coefficient_in_one_unit():
+    relief, noise = np.linspace(0.3, 0.8, 9), 1e-3 * np.cos(np.arange(9.0))
+    rate = np.array([[0.2], [0.4]]) * (relief - 0.2) + noise
+    data = {"relief": (("k3", "frequency"), [relief, relief]), "rate_of_penetration": (("k3", "frequency"), rate)}
+    sheet = sheet_of(vj.fit_rop(xr.Dataset(data, {"k3": [1e8, 3e8]}), along="frequency", progress=False))
+    assert [plot.title.endswith(" m/s") and "mm" not in plot.title for plot in sheet.plots[:2]] == [True, True]
+    assert {plot.y.limits[0] for plot in sheet.plots[:2]} == {0.0}
+    assert "C [m/s]" in [plot.y.label for plot in sheet.plots]
+
+
+def test_range_of_measured_times_is_in_the_panel():
+    time = "time_per_lane_second"
+    (plot,) = sheet_of(STUDY.assign({f"{time}_min": STUDY[time] / 9})).plots
+    assert plot.x.limits[0] < 1e6 * float(STUDY[time].min()) / 9
 
 
 def test_user_settings_are_ignored_and_texts_are_not_formulas():

@@ -66,7 +66,7 @@ def test_clearances_hide_no_structure():
     assert ends(grows, [6.0], 2.0)[0] == pytest.approx(5 + np.exp(np.sin(2.0)), rel=1e-7)
     smooth = one_state(lambda t, y, p: (1 + E.tanh(50 * (y["x"] - p["b"]))) * cos(t), parameters={"b": 5.0})
     assert ends(smooth, [6.0], 1.0)[0] == pytest.approx(6 + 2 * np.sin(1.0), rel=1e-7)
-    rises = lambda t: 0.2 * E.maximum(E.sin(t) - 0.5, 0.0) ** 3  # noqa: E731
+    rises = lambda t: 0.2 * E.maximum(E.sin(t) - 0.5, 0.0) ** 3
     table = vj.Impact("table", lambda t, y, p: y["x"] - rises(t), velocity="v", restitution=0.5)
     ball = mass(lambda t, y, p: -1.0, table, period=2 * np.pi)
     assert ends(ball, [0.0, 0.0], 1.5)[0] == pytest.approx(float(rises(1.5)), rel=1e-7)

@@ -216,7 +216,7 @@ def test_command_reports_rows_and_chosen_form(logs, here, capsys):
     assert "a lane: a row of las.las" in out
     (here / "las.csv").write_text(logs["pason"].read_text())  # another file, whose result has a name of its own
     assert main(["fit", "las.csv"]) == 0 and "las-csv-fit.nc; picture las-csv-fit.png" in capsys.readouterr().out
-    (tmp_path / "las.csv").write_text(logs["semicolon"].read_text())
+    (here / "las.csv").write_text(logs["semicolon"].read_text())
     assert main(["fit", "las.csv"]) == 2
     assert "another result: that of another las.csv, or before its change; --fresh" in capsys.readouterr().err
     assert main(["info", "las-fit.nc"]) == 0 and "dropped 6 of 406 rows" in capsys.readouterr().out

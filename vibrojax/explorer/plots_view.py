@@ -17,6 +17,7 @@ hatched) and "text". A shape is a marker of matplotlib.
 """
 
 import base64
+import re
 from collections.abc import Iterator, Sequence
 from io import BytesIO
 from typing import Any
@@ -148,7 +149,7 @@ def _plots(
             if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
         }
         share = sum(sheet.widths[column : column + wide]) / sum(sheet.widths)
-        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(title.replace("\n", ", "))
+        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(re.sub(r"\n(?=.*=)", ", ", title))
         bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
             "title": title,
@@ -259,8 +260,10 @@ def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
                 yield {"kind": "area", **about, **place, "colour": colour, "alpha": alpha}
     elif isinstance(layer, plots.Cells):
         rgba = layer.colour_map(layer.norm(np.ma.masked_invalid(layer.values))).reshape(-1, 4)
-        palette, indices = np.unique((rgba * 255).round().astype(int), axis=0, return_inverse=True)
-        indices = np.where(np.isnan(layer.values).ravel() | (rgba[:, 3] == 0), -1, indices.ravel())
+        known = ~np.isnan(layer.values).ravel() & (rgba[:, 3] > 0)
+        palette, levels = np.unique((rgba[known] * 255).round().astype(int), axis=0, return_inverse=True)
+        indices = np.full(known.size, -1)
+        indices[known] = levels.ravel()
         ends = {"x": np.asarray(layer.x, float).tolist(), "y": np.asarray(layer.y, float).tolist()}
         names = [to_hex(colour / 255) for colour in palette]
         texts = {str(flag): name for flag, name in enumerate(REGIMES)} if layer.colour_map.name == "regimes" else {}

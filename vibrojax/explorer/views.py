@@ -29,9 +29,9 @@ from vibrojax.maps.run import run_sweep
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.periodic.measuring import DRIVEN_RETURNS
 from vibrojax.pictures import branches
-from vibrojax.pictures.axes import symbols_of
+from vibrojax.pictures.axes import symbols_of, value_text
 from vibrojax.pictures.branches import MARKS
-from vibrojax.pictures.contents import FORM, POINT, START, long_axes
+from vibrojax.pictures.contents import FORM, POINT, START, is_numeric, long_axes
 from vibrojax.pictures.overlays import axes_of
 from vibrojax.pictures.starts import described
 from vibrojax.progress import LOG
@@ -118,7 +118,7 @@ def _map_contents(
     if page:
         page |= {"without": problem} | (overlay_document(ds, over) if over is not None else {})
         # A map over two parameters is drawn by the page; what else the picture shows is added.
-        is_map = len(long_axes(ds)) >= 2 and kind_of(ds) == "sweep"
+        is_map = kind_of(ds) == "sweep" and (len(long_axes(ds)) >= 2 or len(page["axes"][0]["columns"] or ()) >= 2)
         page["figure"] = None if is_map else _picture_document(ds, page)
     return page, cells
 
@@ -195,13 +195,26 @@ def summary_parts(ds: xr.Dataset) -> list[Document]:
     except Exception as error:
         LOG.info("explore: no summary: %s", error)
         return []
-    greek = {name: sign for name, sign in symbols_of(ds).items() if len(sign) == 1 and not sign.isascii()}
-    names = re.compile(rf"\b({'|'.join(greek) or '(?!)'})\b")
+    signs = {name: sign for name, sign in symbols_of(ds).items() if not sign.isascii()}
+    names = re.compile(rf"\b({'|'.join(signs) or '(?!)'})\b")
 
     def lines(part: SummaryPart) -> list[str]:
-        return [names.sub(lambda name: greek[name[0]], document.one_line(line)) for line in part.lines[:200]]
+        whole = (_with_values(document.one_line(line), ds) for line in part.lines[:200])
+        texts = (names.sub(lambda name: signs[name[0]], line) for line in whole)
+        minus = (re.sub(r"(?<![\w)−-])-(?=\d)", "−", text) for text in texts)
+        return ["  " * line.startswith(" ") + text for line, text in zip(part.lines, minus, strict=False)]
 
     return [{"name": part.name, "lines": lines(part)} for part in parts if part.lines]
+
+
+def _with_values(line: str, ds: xr.Dataset) -> str:
+    """Return a line in which values of coordinates with their units are as in pictures: k₃ = 100 MN/m."""
+    for name, data in ds.coords.items():
+        if is_numeric(data) and (unit := re.escape(str(data.attrs.get("units", "")))):
+            value = re.compile(rf"\b{name}=(-?[\d.]+(?:e[+-]?\d+)?) {unit}(?!\S?\w)")
+            for found in [*value.finditer(line)]:
+                line = line.replace(found[0], value_text(data, float(found[1])))
+    return line
 
 
 def sweep_of(ds: xr.Dataset, own: Sweep | None = None) -> tuple[Sweep | None, str]:

@@ -21,7 +21,7 @@ _ANGULAR = re.compile(r"\bangular\b|\bomega|[ωΩ]", re.IGNORECASE)  # names of 
 _LABEL_LETTERS = 32  # characters that fit along a panel
 _SHORT_UNIT = 7  # greatest length of a unit in brackets that is kept beside the word before it
 _GEOMETRIC = 1e-3  # relative scatter up to which ratios or differences count as constant
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SUPERSCRIPTS = str.maketrans("-.0123456789", "⁻·⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Prefixed units: name, factor, and the range of greatest magnitudes for which the prefix is used.
 _PREFIXED = {
     "m": (("mm", 1e3, 0.0, 1.0),),
@@ -79,10 +79,10 @@ def pretty_unit(unit: str) -> str:
         if match is None:
             return unit
         power = int(match[2] or 1)
-        exponent = "" if abs(power) == 1 else str(abs(power)).translate(_SUPERSCRIPTS)
+        exponent = "" if abs(power) == 1 else str(abs(power)).translate(SUPERSCRIPTS)
         (above if power > 0 else below).append(match[1] + exponent)
     if len(below) > 1:
-        return unit.translate(_SUPERSCRIPTS)
+        return unit.translate(SUPERSCRIPTS)
     return " ".join(above or ["1"]) + (f"/{below[0]}" if below else "")
 
 

@@ -360,7 +360,8 @@ def special_keys(ds: xr.Dataset) -> list[Line]:
 
 def kind_label(kind: str) -> str:
     """Return a kind of special point or border, with words on what happens there if its name does not say it."""
-    return f"{kind} ({_WORDS[kind]})" if kind in _WORDS else kind
+    name = "Hopf" if kind == "hopf" else kind
+    return f"{name} ({_WORDS[kind]})" if kind in _WORDS else name
 
 
 def ranges_text(ds: xr.Dataset, names: Sequence[str]) -> str:

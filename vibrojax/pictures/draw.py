@@ -16,7 +16,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.gridspec import GridSpec
+from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
@@ -88,7 +88,8 @@ def draw(picture: plots.Picture | Figure) -> Figure:
         for axes in figure.axes:
             axes.tick_params(labelsize=rcParams["xtick.labelsize"])
         # A label measures the ticks of all axes that it is aligned with.
-        figure.align_ylabels([axes for axes in figure.axes if axes.get_ylabel()])
+        rows = [axes for axes in figure.axes if isinstance(axes.get_gridspec(), GridSpec)]
+        figure.align_ylabels([axes for axes in rows if axes.get_ylabel()])
     return figure
 
 
@@ -99,7 +100,10 @@ def _draw_plots(figure: Figure, sheet: Sheet) -> None:
     shown, panels = plots.resolved(sheet.plots), []
     for plot in shown:
         row, column, deep, wide = plot.span
-        panels.append(figure.add_subplot(grid[row : row + deep, column : column + wide]))
+        part = grid[row : row + deep, column : column + wide]
+        # The colour bar below a tall panel takes no room from the rows beside it.
+        part = GridSpecFromSubplotSpec(1, 1, part)[0] if deep > 1 and plot.scale else part
+        panels.append(figure.add_subplot(part))
         _draw_plot(panels[-1], plot, shown)
     for value in {id(plot.scale): plot.scale for plot in shown if plot.scale is not None}.values():
         below = [axes for axes, plot in zip(panels, shown, strict=True) if plot.scale is value]
@@ -113,9 +117,10 @@ def _draw_plot(axes: Axes, plot: Plot, shown: Sequence[Plot]) -> None:
     for layer in plot.layers:
         _draw_layer(axes, layer, plot)
     row, column, _, wide = plot.span
-    same_column = [p for p in shown if p.x.group == plot.x.group != "" and p.span[1::2] == (column, wide)]
+    below = [p for p in shown if p.place[0] > row and p.span[1::2] == (column, wide)]
+    follows = min(below, key=lambda p: p.place[0]).x.group == plot.x.group != "" if below else False
     same_row = [p for p in shown if p.y.group == plot.y.group != "" and p.place[0] == row]
-    _draw_axis(axes, "x", plot.x, plot.has_cells, outer=not any(p.place[0] > row for p in same_column))
+    _draw_axis(axes, "x", plot.x, plot.has_cells, outer=not follows)
     _draw_axis(axes, "y", plot.y, plot.has_cells, outer=not any(p.place[1] < column for p in same_row))
     if plot.square:
         axes.set_aspect("equal")

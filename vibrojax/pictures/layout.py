@@ -54,6 +54,8 @@ class Facets:
         runs = np.cumprod(self.counts[::-1]).tolist()  # facets after which the values of an axis repeat
         step = max((run for run in runs if run <= most), default=1)
         wide = min(range(step, most + 1, step), key=lambda n: (n < min(count, most, 3), -count % n, -n))
+        if count % wide and step > 1 and count // step <= most:  # the last axis runs downwards
+            return [divmod(k, step)[::-1] for k in range(count)]
         return [divmod(k, wide) for k in range(count)]
 
 
@@ -124,10 +126,11 @@ TALLEST = 235 / 25.4
 """Greatest height [inch] of a picture whose width the user chose: that of a journal's page."""
 
 _NARROWEST, NARROW, _WIDEST = 1.5, 4.5, 40.0  # [inch]; a narrow picture shows fewer maps
-_LEAST_PANEL, _LEAST_SHARED = 1.5, 1.1  # least width [inch] of a panel with its labels, and with those of its row
+_LEAST_PANEL, _LEAST_SHARED = 1.3, 1.1  # least width [inch] of a panel with its labels, and with those of its row
 _LEAST_BESIDE = 2.0  # least width [inch] of a panel beside several rows
 _MARGINS = 1.4  # approximate height [inch] of title, legend and note of a narrow sheet
-_BAR = 0.3  # height [inch] of a colour bar
+_BAR, _TITLE = 0.3, 0.2  # height [inch] of a colour bar, and of a title
+_SMALLER = 0.83  # type of a narrow picture, in units of that of others
 _STACKED_MAP = 0.65  # height of maps below each other, in units of their width
 _KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
 _MOST_ACROSS = 6
@@ -169,9 +172,12 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
     wide = (sheet.size[0] - LEGEND_WIDTH * bool(legend_of(sheet))) / sum(sheet.widths)
     least = width / sum(sheet.widths) * min(sheet.widths)
     if any(plot.span[2] > 1 for plot in sheet.plots) and least >= _LEAST_BESIDE:
-        wide, tall = width / sum(sheet.widths), (_LEAST_SHARE * sheet.size[1] - _MARGINS) / sum(sheet.heights)
+        wide = width / sum(sheet.widths)
+        squares = [wide * _part(sheet.widths, x, 1) for x in sheet.plots if x.square and x.span[2] > 1]
+        height = min(_LEAST_SHARE * sheet.size[1], _MARGINS + min(squares, default=np.inf))
+        tall = (height - _MARGINS) / sum(sheet.heights)
         plots = [_narrowed(x, wide * _part(sheet.widths, x, 1), tall * _part(sheet.heights, x, 0)) for x in sheet.plots]
-        return replace(sheet, plots=plots, size=(width, _LEAST_SHARE * sheet.size[1]), beside=False)
+        return replace(sheet, plots=plots, size=(width, height), beside=False)
     rows: dict[tuple[bool, int], list[Plot]] = {}
     for plot in sorted(sheet.plots, key=lambda plot: (plot.span[2] > 1, plot.place)):  # tall panels come last
         rows.setdefault((plot.span[2] > 1, plot.place[0]), []).append(plot)
@@ -184,7 +190,8 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
         alike = alike if len(alike) > 1 and is_map else []
         count, most = max(alike, default=len(row)), int(width / (_LEAST_SHARED if shared else _LEAST_PANEL))
         across = -(-count // ceil(count / min(count, max(1, most), _MOST_ACROSS)))  # rows of equal length
-        if is_map and count % across:
+        labels = [plot.x.label for plot in row if plot.x.label]
+        if count % across and (is_map or len({*labels}) < len(labels)):  # panels of one axis have equal widths
             across = 1
         first, column, deep, spanned = row[0].span
         height = tall * sum(sheet.heights[first : first + deep])
@@ -201,7 +208,8 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
     plots = []
     for k, (part, each, height) in enumerate(parts):
         span = round(columns * each / width)
-        plots += [_narrowed(replace(plot, place=(k, i * span, 1, span)), each, height) for i, plot in enumerate(part)]
+        inside = height - _TITLE * any(plot.title for plot in part)
+        plots += [_narrowed(replace(plot, place=(k, i * span, 1, span)), each, inside) for i, plot in enumerate(part)]
     heights = [height for *_, height in parts]
     size = width, sum(heights) + 0.12 * len(parts)
     return replace(sheet, plots=plots, size=size, widths=[1.0] * columns, heights=heights, beside=False)
@@ -218,7 +226,9 @@ def in_height(sheet: Sheet) -> Sheet:
     if sheet.size[1] <= TALLEST:
         return sheet
     tall = (TALLEST - _MARGINS) / sum(sheet.heights)
-    plots = [replace(x, y=_shortened(x.y, tall * _part(sheet.heights, x, 0) - _BAR * x.is_map)) for x in sheet.plots]
+    rows = {plot.place[0] for plot in sheet.plots if plot.title}
+    room = [tall * _part(sheet.heights, x, 0) - _BAR * x.is_map - _TITLE * (x.place[0] in rows) for x in sheet.plots]
+    plots = [replace(x, y=_shortened(x.y, _SMALLER * high)) for x, high in zip(sheet.plots, room, strict=True)]
     return replace(sheet, plots=plots, size=(sheet.size[0], TALLEST))
 
 
@@ -240,6 +250,7 @@ def _narrowed(plot: Plot, width: float, height: float) -> Plot:
     """Return a panel whose texts are broken, and whose ticks are fewer, in a width and height [inch]."""
     # A legend of the plot's own would be as wide as the plot.
     keys = "" if width < _KEYS_PANEL else plot.keys
-    title = broken_title(plot.title, max(int(LETTERS * (width - 0.2)), 10))
+    beside = 0.2 if plot.is_map or plot.square else 0.4  # a title is centred above a map, else it begins at the axis
+    title = broken_title(plot.title, max(int(LETTERS * (width - beside)), 10))
     inside = (min(height, _MAP_ASPECT * width) if plot.has_cells else height) - _BAR * (plot.scale is not None)
     return replace(plot, title=title, x=_shortened(plot.x, width - 0.3, True), y=_shortened(plot.y, inside), keys=keys)

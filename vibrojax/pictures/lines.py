@@ -36,7 +36,7 @@ from vibrojax.pictures.plots import (
 )
 from vibrojax.pictures.style import BIT, ROCK_COLOURS, line_colours, nested_line, other_colour, start_colour
 
-MOST_ROWS = 4
+MOST_ROWS, NARROW_ROWS = 4, 2
 _PANEL_WIDTH = 3.3  # inches
 _FREQUENCY = "frequency"  # preferred among axes of equal length
 _STACK_WIDTHS = {1: 7.6, 2: 10.0, 3: 12.5}  # of the sheet [inch], by the number of stacks side by side
@@ -46,6 +46,7 @@ _DISTINCT_HEIGHTS = 1000  # number of heights on a panel that the eye can distin
 _MOST_STACKS = 9
 _SLIP, _PEAK = "slip_per_impact", "peak_impact_force"
 _MANY_LANES = 40  # number of lanes per line from which on markers are small
+_SAME_LINE = 0.01  # distance of lines, as a fraction of the greatest value, below which one hides the other
 _CONSTANT = 1e-6  # largest relative range of values that count as constant
 _MEAN: Look = {"face": "white", "edge_width": 0.9, "order": 2.5}  # of a motion that does not repeat
 _MARKS: dict[str, tuple[str, Look]] = {
@@ -322,7 +323,7 @@ def row_per_facet(
 
     The functions `draws` return the plot of the lines of a facet.
     """
-    panels, plots = facets(ds, (POINT, x.name, by), MOST_ROWS), []
+    panels, plots = facets(ds, (POINT, x.name, by), NARROW_ROWS if is_narrow() else MOST_ROWS), []
     for row, (title, facet) in enumerate(panels):
         for column, draw in enumerate(draws):
             above = "" if column else title
@@ -375,8 +376,7 @@ def rates(ds: xr.Dataset) -> Sheet:
         layers: list[Layer] = []
         for k, line in enumerate(lines):
             places = np.atleast_1d(line.lanes[RELIEF].values) if over_relief else x.of(line.lanes)
-            nested = named or (name != RATE and bool(dash))  # blows of several lines may be the same
-            look = nested_line(k, len(lines)) if nested else {"dash": dash}
+            look = nested_line(k, len(lines)) if named or (dash and _coincide(lines, name)) else {"dash": dash}
             layers += _rate_layers(line, places, factor * np.atleast_1d(line.lanes[name].values), look)
         return Plot(layers, from_zero(RELIEF) if over_relief else x.axis(ds), from_zero(name, unit))
 
@@ -398,6 +398,13 @@ def rates(ds: xr.Dataset) -> Sheet:
     missing = f"{count} of {counted(ds[RATE].size, 'lane')} without a rate" if count else ""
     draws = [partial(draw, name=name, over_relief=over_relief) for name, over_relief in drawn]
     return row_per_facet(ds, x, by, draws, [lines, marks], missing)
+
+
+def _coincide(lines: Sequence[Series], name: str) -> bool:
+    """Return whether two lines are on top of each other at most places where they are above zero."""
+    heights = np.sort([np.atleast_1d(line.lanes[name].values) for line in lines], axis=0)
+    gaps = np.where(heights[1:] > 0, np.diff(heights, axis=0), np.nan) / (np.nanmax(heights, initial=0.0) or 1.0)
+    return bool((np.sum(gaps < _SAME_LINE, axis=1) > heights.shape[1] / 2).any())
 
 
 def _rate_layers(line: Series, places: Lanes, values: Lanes, look: Look) -> list[Layer]:

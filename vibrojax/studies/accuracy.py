@@ -321,8 +321,11 @@ def work_precision(ds: xr.Dataset) -> Picture:
     known = ds.isel({SETTING: ds["error_worst"].values > 0})
     times, errors = (0.1, 1.0), (0.1, 1.0)
     if known.sizes[SETTING]:
-        time, worst = known["time_per_lane_second"], known["error_worst"]
-        times = float(time.min()) / 1.6, float(time.max()) * 1.6
+        (fastest, slowest), worst = (
+            (known[f"time_per_lane_second_{end}"] for end in ("min", "max")),
+            known["error_worst"],
+        )
+        times = float(fastest.min()) / 1.2, float(slowest.max()) * 1.2
         errors = float(worst.min()) / 5, float(worst.max()) * 5
     across = Axis("time per simulated lane-second [µs]", limits=times, log=True, group="time")
     up = Axis("worst lane's relative error", limits=errors, log=True, group="error")

@@ -285,7 +285,7 @@ def border_curves(ds: xr.Dataset) -> Sheet:
         layers = border_layers(ds, values, start, x, y)
         words = [value_text(ds[name], value) for name, value in values.items()]
         words.append("any start" if start == ANY else f"start {start}")
-        title = f"{', '.join(words)}: {share_text(areas[plane, start])} of the plane"
+        title = f"{', '.join(words)}: {share_text(areas[plane, start])}"
         if not layers:
             text = "no border" + (": a single impact is stable everywhere" if areas[plane, start] > 0.5 else "")
             layers = [Text(0.5, 0.5, fill(text, 24), relative=True)]
@@ -294,7 +294,7 @@ def border_curves(ds: xr.Dataset) -> Sheet:
         across, up = (axis(ds[n], group=n, intervals=6, limits=limits.get(n, (None, None))) for n in (x, y))
         plots.append(Plot(layers, across, up, title, divmod(k, len(shown_columns)), values))
     hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
-    text = "Share of the plane: where a single impact is stable; any start: however its orbit is reached"
+    text = "Percentages: share of the plane where a single impact is stable; any start: however its orbit is reached"
     missing = f"Not shown: {counted(hidden[0], 'plane')}, {counted(hidden[1], 'start')}" if any(hidden) else ""
     widths, heights = (1.0,) * len(shown_columns), (1.0,) * len(shown_rows)
     size = _PANEL[0] * len(widths) + 1.6, _PANEL[1] * len(heights) + 0.6

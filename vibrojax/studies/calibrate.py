@@ -12,7 +12,7 @@ from vibrojax.compile.xla import precision
 from vibrojax.errors import InputError, counted
 from vibrojax.io.attributes import flags, text_of
 from vibrojax.io.variables import VARIABLES
-from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of, with_unit
+from vibrojax.pictures.axes import SUPERSCRIPTS, margins, pretty_unit, scale, symbols_of, with_unit
 from vibrojax.pictures.plots import FAINT, Axis, Bars, Layer, Line, Look, Plot, Sheet, dots, level, upright
 from vibrojax.pictures.style import BIT, IMPACT, other_colour
 from vibrojax.progress import Progress
@@ -150,7 +150,8 @@ def _combination(ds: xr.Dataset, k: int) -> str:
         (signs.get(str(name), str(name)) for name in ds["parameter"].values), ds["direction"].values[k], strict=True
     ):
         if abs(x) >= MIN_EXPONENT:
-            parts.append(name if powers and abs(x - 1) < 0.05 else f"{name}^{x:.1f}" if powers else f"{x:+.1f} {name}")
+            power = "" if abs(x - 1) < 0.05 else f"{x:.1f}".translate(SUPERSCRIPTS)
+            parts.append(name + power if powers else f"{x:+.1f} {name}".replace("-", "−"))
     return " ".join(parts)
 
 

@@ -44,7 +44,7 @@ _NEEDED = {
     "torque_stick_slip": ("time", "torque"),
 }
 SCHEMA = {
-    "specific_energy": Variable("J m-3", "mechanical specific energy W/A + omega T/(A R) (Teale 1965)"),
+    "specific_energy": Variable("J m-3", "mechanical specific energy W/A + ω T/(A R) (Teale 1965)"),
     "percussive_specific_energy": Variable("J m-3", "impact power over the volume drilled per second"),
     "torque_stick_slip": Variable(
         "1", "stick-slip index (Tmax - Tmin)/(2 Tmean) of the surface torque over 30 s around the row"
@@ -91,7 +91,7 @@ def rig(
         log = vj.rig("log.csv", columns={"bit_diameter": "8.5 in"})
         vj.picture(log)
 
-    The mechanical specific energy is W/A + omega T/(A R) (Teale 1965). W is the weight on bit [N], omega the rotary
+    The mechanical specific energy is W/A + ω T/(A R) (Teale 1965). W is the weight on bit [N], ω the rotary
     speed [rad/s], T the torque [N m], R the rate of penetration [m/s], and A the area of the bit [m²]. The percussive
     specific energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per second.
 

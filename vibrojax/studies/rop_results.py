@@ -292,10 +292,12 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     is_cloud = fit["data_use"].sizes["lane"] >= _CLOUD  # many lanes are small and faint, below the curves
     look = Look(size=1.6, order=1.5, colour=FAINT) if is_cloud else Look(size=4.2, order=3.0)
     looks = {use: look | about for use, (_, about) in _USES.items()}
-    wide = min(len(groups), columns)
+    c_scale = (_PER_HOUR, "m/h") if is_log(fit) else scale(fit["C"])
+    places = groups.places(columns)
+    deep, wide = (1 + max(ends) for ends in zip(*places, strict=True))
     plots = [
-        _group_plot(group, title, divmod(k, wide), k + wide >= len(groups), looks)
-        for k, (title, group) in enumerate(groups)
+        _group_plot(group, title, (row, column), (row + 1, column) not in places, looks, c_scale)
+        for (row, column), (title, group) in zip(places, groups, strict=True)
     ]
     used = {flag for group in groups.data for flag in np.unique(group["data_use"])}
     uses = [name for flag, name in flags(fit["data_use"]).items() if flag in used and name in _USES]
@@ -309,14 +311,15 @@ def law_lines(fit: xr.Dataset) -> Sheet:
             if np.isfinite(against):
                 formula += "\nchosen" if is_chosen else f"\nevidence against {number(against)}"
         keys[0].append(key(f"{name}: {formula}", dash=_DASHES.get(name, "-"), colour=form_colour(name)))
-    size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * -(-len(groups) // wide) + STACK_MARGINS
+    size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * deep + STACK_MARGINS
     above, x = Sheet(plots, size, keys=keys, **margins(fit, *notes)), longest_axis(fit)
     if not x.name:
         return above
     shown = fit.sortby(x.name) if x.is_number else fit
     shown = in_units(shown, _PER_HOUR_OF_LOGS if is_log(fit) else {})
-    for name in ("C", "C_stderr"):
-        shown = shown.assign({name: shown[name].where(shown["standing"] != Standing.REJECTED)})
+    shown = shown.assign(
+        {name: shown[name].where(shown["standing"] != Standing.REJECTED) for name in ("C", "C_stderr")}
+    )
     shown = shown.assign(evidence_against=np.minimum(shown["evidence_against"], _MOST_EVIDENCE))
 
     def draw(lines: list[Series], name: str) -> Plot:
@@ -340,8 +343,18 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     return stacked(above, sheet)
 
 
-def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: bool, looks: dict[str, Look]) -> Plot:
-    """Draw the lanes of a group, and the curve of each form up to the founder weight and above it."""
+def _group_plot(
+    group: xr.Dataset,
+    title: str,
+    place: tuple[int, int],
+    is_last: bool,
+    looks: dict[str, Look],
+    c_scale: tuple[float, str],
+) -> Plot:
+    """Draw the lanes of a group, and the curve of each form up to the founder weight and above it.
+
+    `c_scale`: factor and unit of C, in which all groups print it.
+    """
     scale_of_rate, unit = (_PER_HOUR, "m/h") if is_log(group) else scale(group["data_rate_of_penetration"])
     threshold = float(group["data_threshold"])  # the mean force in kN is the abscissa where it is known
     across, text = (threshold / 1e3, "mean force [kN]") if np.isfinite(threshold) else (1.0, "relief P/D")
@@ -372,13 +385,14 @@ def _group_plot(group: xr.Dataset, title: str, place: tuple[int, int], is_last: 
             fall = scale_of_rate * float(group["founder_fall"]) * threshold * (high - end)
             layers.append(Line([across * end, across * high], [curve[-1], curve[-1] - fall], **look))
         if int(of["standing"]) == Standing.CHOSEN and not (group["standing"] == Standing.UNDECIDED).any():
-            c, half = (scale_of_rate * float(of[part]) for part in ("C", "C_stderr"))
-            title = f"{title}\nC = {c:.3g} ± {number(float(f'{half:.1g}'))} {pretty_unit(unit)}".strip()
+            c, half = (c_scale[0] * float(of[part]) for part in ("C", "C_stderr"))
+            title = f"{title}\nC = {c:.3g} ± {number(float(f'{half:.1g}'))} {pretty_unit(c_scale[1])}".strip()
     if end < high:
         layers.append(upright(across * end, dash=":", width=1.0, label="founder weight"))
     # Neither weights beyond reason nor the curve of a form far from the data stretch the axes.
     room, top = 0.04 * (high - low or high), float(rate[seen].max())
-    right, up = (across * (low - room), across * (high + room)), (-0.06 * top, 1.1 * top)
+    below = 0.06 * top * float((rate[seen] <= 0).any())  # markers at zero are whole
+    right, up = (across * (low - room), across * (high + room)), (-below, 1.1 * top)
     is_within = [(x >= low) & (x <= high) for x, (low, high) in ((across * relief, right), (rate, up))]
     if beyond := int((known & ~np.all(is_within, axis=0)).sum()):
         axes = replace(axes[0], label=f"{text}\n{counted(beyond, 'row')} outside the panel"), axes[1]

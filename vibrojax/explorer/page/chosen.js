@@ -12,6 +12,9 @@ const MASS_KEYS = [["x1", "bit", "bit"], ["x2", "striker", "striker"], ["x3", "b
 /** Values of flags that say nothing. */
 const SILENT = new Set(["done", "none", "found", "identified"]);
 
+/** Magnitude up to which coefficients of a law are rounding errors of zero. */
+const ROUNDING = 1e-12;
+
 /** Number of lines from which a summary is closed at first. */
 const MOST_SUMMARY_LINES = 20;
 
@@ -247,7 +250,7 @@ function formsOf({ grid, cell }) {
   if (!form || !C) return [];
   const of = (variable, k) => grid.value(variable.name, { ...cell, form: k }), known = [...form.values.keys()].filter((k) => Number.isFinite(of(C, k)));
   const text = (variable, k) => {
-    const error = grid.variables.get(`${variable.name}_stderr`), value = of(variable, k);
+    const error = grid.variables.get(`${variable.name}_stderr`), value = Math.abs(of(variable, k)) < ROUNDING ? 0 : of(variable, k);
     if (Number.isNaN(value)) return "—";
     return variable.flags || !error || Number.isNaN(of(error, k)) ? grid.valueText({ ...variable, units: "" }, value) : `${numberText(value * variable.factor)} ±\u00a0${numberText(of(error, k) * variable.factor, 2)}`;
   };
@@ -263,7 +266,7 @@ function summaryOf(page) {
   const { summary } = page.data;
   if (!summary?.length) return [];
   const few = !page.data.lanes || (page.data.figure && summary.flatMap(({ lines }) => lines).length < MOST_SUMMARY_LINES);
-  const parts = summary.map(({ name, lines }) => el("div", {}, el(page.data.kind === "plots" ? "h2" : "h3", { class: "vx-part", text: name }), el("pre", { text: lines.join("\n") })));
+  const parts = summary.map(({ name, lines }) => el("div", {}, el(page.data.kind === "plots" ? "h2" : "h3", { class: "vx-part", text: name }), ...lines.map((text) => el("pre", { text }))));
   return [el("details", { class: "vx-summary", open: page.table.querySelector(".vx-summary")?.open ?? few }, el("summary", { text: "Summary" }), ...parts)];
 }
 

@@ -3,13 +3,19 @@ import { unpack } from "./decode.js";
 import { el, explained } from "./dom.js";
 import { placesOf } from "./grid.js";
 import { interactive, readingAt } from "./interact.js";
-import { barElements, entry, fillCell, FONT, framed, inkOf, leastOf, legible, levelLine, line, mark, numberText, read, uprightLine } from "./plots.js";
+import { barElements, entry, fillCell, FONT, framed, inkOf, isPale, leastOf, legible, levelLine, line, mark, numberText, read, uprightLine } from "./plots.js";
 
 /** The colour of signs in a legend that stand for marks of any colour. */
 const INK = "#222222";
 
 /** Pixels of a point, in which sizes of marks are. */
 const POINT = 4 / 3;
+
+/** The level of cells at a place. */
+function levelAt({ x, y, levels }, u, v) {
+  const [i, j] = [[x, u], [y, v]].map(([ends, at]) => ends.findIndex((end, k) => (end - at) * ((ends[k + 1] ?? NaN) - at) <= 0));
+  return i < 0 || j < 0 ? -1 : levels[j * (x.length - 1) + i];
+}
 
 /** Draw items of a description, and have their values read by the last key that looks the same; cells need `levels`, their unpacked indices. */
 export function drawItems(c, items, sx, sy, ink, keys = []) {
@@ -33,21 +39,22 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       else read("", x, y, { texts: colours.map((own, k) => (values.length ? numberText(values[k]) : nameOf(item, own, item.shape, "line"))) });
     } else if (item.kind === "area") {
       c.globalAlpha = item.alpha;
-      c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 0.5 ? colour(item.colour) : item.colour;
+      c.fillStyle = item.colour === "hatched" ? ink.undefined : item.alpha < 0.5 ? colour(item.colour) : isPale(item.colour) ? ink.pale : item.colour;
       c.beginPath();
       x.forEach((value, k) => (k ? c.lineTo(sx(value), sy(y[k])) : c.moveTo(sx(value), sy(y[k]))));
       c.closePath();
       c.fill();
-      if (item.alpha === 1) { Object.assign(c, { strokeStyle: c.fillStyle, lineWidth: 0.6 }); c.stroke(); }  // else hairlines part neighbours
+      if (item.alpha === 1) { Object.assign(c, { strokeStyle: item.at && (isPale(item.colour) || colour(item.colour) !== item.colour) ? ink.faint : c.fillStyle, lineWidth: 0.6 }); c.stroke(); }  // else hairlines part neighbours
       c.globalAlpha = 1;
       const name = nameOf(item, item.colour, "patch"), half = x.length / 2, top = y.slice(half).reverse();
       if (item.at) read(name, [item.at[0]], [item.at[1]], { edges: [[x[0], x[1]], [y[0], y[2]]], ...(item.at[1] === y[2] ? { low: [y[0]] } : {}) });
       else if (name) read(name, x.slice(0, half), top, { low: y.slice(0, half), texts: top.map((high, k) => numberText(high - y[k])) });
     } else if (item.kind === "cells" && item.levels) {
       const wide = x.length - 1, across = [], up = [];
+      const shades = item.colours.length === 1 ? item.colours.map((own) => (isPale(own) ? ink.pale : own)) : item.colours;
       item.levels.forEach((level, k) => {
         const i = k % wide, j = Math.floor(k / wide);
-        c.fillStyle = level < 0 ? ink.undefined : item.colours[level];
+        c.fillStyle = level < 0 ? ink.undefined : shades[level];
         if (level >= 0 || item.hatched) fillCell(c, sx(x[i]), sx(x[i + 1]), sy(y[j]), sy(y[j + 1]));
         across.push((x[i] + x[i + 1]) / 2);
         up.push((y[j] + y[j + 1]) / 2);
@@ -58,7 +65,8 @@ export function drawItems(c, items, sx, sy, ink, keys = []) {
       Object.assign(c, { font: `11px ${FONT}`, textAlign: item.align, textBaseline: item.baseline, fillStyle: ink.plate, globalAlpha: 0.8 });
       const wide = c.measureText(item.text).width + 4;
       if (!over) c.fillRect(sx(x[0]) - left * wide, sy(y[0]) - 14 * top, wide, 14);  // on hatches and lines it would not be read
-      Object.assign(c, { fillStyle: over ? item.colour : ink.ink, globalAlpha: 1 });
+      const pale = items.some((one) => one.kind === "cells" && one.colours.length === 1 && isPale(one.colours[0]) && !one.hatched && levelAt(one, x[0], y[0]) === 0);
+      Object.assign(c, { fillStyle: over && !pale ? item.colour : ink.ink, globalAlpha: 1 });
       c.fillText(item.text, sx(x[0]), sy(y[0]));
     }
   }
@@ -99,7 +107,7 @@ export class Figure {
 
   plot(plot, { keys, bars }, shared) {
     const bar = bars[plot.bar];
-    const words = plot.title || [plot.y.label, plot.x.label].filter(Boolean).join(" over ").replace(/ \[[^\]]*\]/g, "") || "plot";
+    const short = plot.x.label.split(", ").at(-1), words = plot.title || [plot.y.label, short].filter(Boolean).join(" over ").replace(/ \[[^\]]*\]/g, "") || "plot";
     const canvas = el("canvas", { role: "img", "aria-label": words });
     const draw = (paper) => this.paint(paper, plot), linked = plot.x.direction || plot.y.direction || Object.keys(plot.at).length || this.page.data.map === false;
     const tools = interactive(canvas, draw, {

@@ -118,10 +118,10 @@ export class Grid {
   }
 
   /** The colour of a value, as in the pictures. */
-  colour(variable, value, undefinedColour) {
-    if (variable.flags) return variable.colours[String(value)] ?? undefinedColour;
-    if (Number.isNaN(value) || value === undefined) return undefinedColour;
-    if (variable.nothing_at_zero && value === 0) return "#FFFFFF";
+  colour(variable, value, ink = {}) {
+    if (variable.flags) return variable.colours[String(value)] ?? ink.undefined;
+    if (Number.isNaN(value) || value === undefined) return ink.undefined;
+    if (variable.nothing_at_zero && value === 0) return ink.plate;
     const shown = value * variable.factor, { low, high } = variable;
     const share = variable.log ? Math.log(shown / low) / Math.log(high / low) : (shown - low) / (high - low);
     const map = this.data.maps[variable.map];

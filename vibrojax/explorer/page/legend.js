@@ -39,7 +39,7 @@ export function keysOf(page) {
   }
   if (page.shown.y && values.some(Number.isNaN) && !values.every(Number.isNaN)) found.push({ text: "no value", shape: "patch", colour: "hatched" });
   if (page.among) found.push({ text: "other motions", shape: "patch", colour: "grid" });
-  if (variable.nothing_at_zero && page.shown.y && count(0)) found.push({ text: "zero", shape: "patch", colour: "#FFFFFF" });
+  if (variable.nothing_at_zero && page.shown.y && count(0)) found.push({ text: "zero", shape: "patch", colour: "plate" });
   if (page.shown.region && data.region && [page.shown.x, page.shown.y].every((name) => name in data.region)) found.push({ text: "source's best region", shape: "line", colour: "ink" });
   for (const kind of new Set(page.view.curves.map((one) => one.kind)))
     found.push({ text: kind, shape: "line", colour: curves.colours[kind] ?? "#222222", dash: DASHES[kind], why: meanings[kind] });

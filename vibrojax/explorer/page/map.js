@@ -44,7 +44,7 @@ export class MapView {
   }
 
   /** The colour of a cell; one that the map is not limited to has that of the grid. */
-  colourAt(variable, cell, ink, colour = (grid, variable, value) => grid.colour(variable, value, ink.undefined)) {
+  colourAt(variable, cell, ink, colour = (grid, variable, value) => grid.colour(variable, value, ink)) {
     return this.view.only && !this.view.only(cell) ? ink.grid : colour(this.grid, variable, this.grid.value(variable.name, cell), ink);
   }
 
@@ -84,7 +84,7 @@ export class MapView {
     const [across, up] = [ends(x), ends(y)];
     patch.axes[x.axis.name].forEach((_, i) => patch.axes[y.axis.name].forEach((_, j) => {
       const [p, q] = x.axis.name === first ? [i, j] : [j, i];
-      c.fillStyle = this.grid.colour(variable, values[p * count + q], ink.undefined);
+      c.fillStyle = this.grid.colour(variable, values[p * count + q], ink);
       fillCell(c, sx(across[i]), sx(across[i + 1]), sy(up[j]), sy(up[j + 1]));
     }));
   }

@@ -8,7 +8,7 @@ export function inkOf(element) {
   const style = getComputedStyle(element.source ?? element);
   const get = (name) => style.getPropertyValue(`--${name}`).trim();
   const ink = Object.fromEntries(
-    ["ink", "faint", "grid", "ground", "plate", "bit", "striker", "stick", "impact", "rock", "slip", "accent"]
+    ["ink", "faint", "grid", "ground", "plate", "bit", "striker", "stick", "impact", "rock", "slip", "accent", "pale"]
       .map((name) => [name, get(name)]));
   return { ...ink, undefined: hatched(ink.plate, get("undefined")) };
 }
@@ -30,6 +30,9 @@ function hatched(ground, colour) {
 const partsOf = (colour) => [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
 const brightness = (colour) => partsOf(colour).reduce((sum, x) => sum + x, 0) / 765;
 
+/** Whether a colour is a ground between white and grey, which dazzles on a dark plate. */
+export const isPale = (colour) => brightness(colour) > 0.9 && Math.max(...partsOf(colour)) - Math.min(...partsOf(colour)) < 8;
+
 const luminance = (colour) => partsOf(colour).map((x) => (x / 255) ** 2.2).reduce((sum, x, k) => sum + [0.2126, 0.7152, 0.0722][k] * x, 0);
 const contrast = (colour, ground) => (luminance(colour) + 0.05) / (luminance(ground) + 0.05);
 
@@ -46,7 +49,7 @@ const labelColour = (colour, ink) => { const own = legible(colour, ink); return 
 
 /** The colour of a value's mark; those of a scale keep their order. */
 export function markColour(grid, variable, value, ink) {
-  const colour = grid.colour(variable, value, ink.undefined);
+  const colour = grid.colour(variable, value, ink);
   return variable.flags && colour !== ink.undefined ? labelColour(colour, ink) : colour;
 }
 
@@ -64,12 +67,12 @@ export function numberText(value, digits = 4) {
 export function ticks(low, high, count, log = false) {
   if (!(high > low)) return [low];
   if (log && low > 0) {
-    const found = [];
-    for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++)
-      for (const lead of high / low < 30 ? [1, 2, 5] : [1]) found.push(lead * 10 ** power);
-    const inside = found.filter((x) => x >= low * 0.999 && x <= high * 1.001);
-    const every = Math.ceil(inside.length / Math.max(count, 2));
-    if (inside.length > 1) return inside.filter((_, k) => k % every === 0);
+    const powers = [];
+    for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++) powers.push(10 ** power);
+    const inside = (leads) => powers.flatMap((power) => leads.map((lead) => lead * power)).filter((x) => x >= low * 0.999 && x <= high * 1.001);
+    const fine = inside([1, 2, 5]), found = fine.length <= Math.max(count, 3) ? fine : inside([1]);
+    const every = Math.ceil(found.length / Math.max(count, 2));
+    if (found.length > 1) return found.filter((_, k) => k % every === 0);
   }
   const rough = (high - low) / Math.max(count, 1), power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].find((lead) => lead * power >= rough * 0.999) * power;
@@ -290,7 +293,7 @@ export function drawSign(c, key, left, top, ink) {
     levelLine(c, y, { left: left + 1, right: left + wide - 1 }, own, 2, dash);
     if (marker) spot(marker);
   } else if (shape === "patch") {
-    c.fillStyle = colour === "hatched" ? ink.undefined : ink[colour] ?? colour;
+    c.fillStyle = colour === "hatched" ? ink.undefined : ink[colour] ?? (isPale(colour) ? ink.pale : colour);
     c.fillRect(middle - 6, y - 6, 12, 12);
     c.strokeStyle = ink.faint;
     c.lineWidth = 1;
