@@ -10,7 +10,7 @@ import numpy as np
 
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.arclength import ENDED, STALLED, STOPPED, VANISHED, Stop
-from vibrojax.periodic.brackets import Brackets
+from vibrojax.periodic.brackets import LOCATED_WITHIN, Brackets
 from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator, branch_point_ahead, second_tangent
 from vibrojax.periodic.grazes import GRAZED_MARGIN, extrapolated_graze
 from vibrojax.periodic.hopf import hopf_point
@@ -198,6 +198,10 @@ class FamilyContinuation(Tracing):
         for k, place in enumerate(special.place.tolist()):
             kind, orbit, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), special.far.of([k])
             event, note = change_of(self._problem.scene, kind, orbit, beyond)
+            # Next to a change, rounding errors may decide on a third order of events.
+            known = [m.orbit.u - orbit.u for m in segment.marks if (m.kind, m.event) == (kind, event)]
+            if any(np.abs(off).max() < 10 * LOCATED_WITHIN for off in known):
+                continue
             segment.marks.append(Mark(orbit, kind, note, place, event=event))
         u = segment.points.u
         segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))

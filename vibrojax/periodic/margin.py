@@ -4,6 +4,7 @@ Guards are functions that are positive within a mode. The margin is the smallest
 
 - where a guard reaches zero: its slope, relative to a typical slope;
 - where a guard has a positive minimum within a step: that minimum, relative to a typical value;
+- where a guard is constant, as along a circular orbit: its value, relative to a typical value;
 - at a switch: the guard values with which the new mode begins, relative to typical values. These values vanish where a
   stick phase appears or vanishes.
 
@@ -46,6 +47,10 @@ DEPARTED = 1e-9
 
 FLAT = 1e-9
 """Slope at the end of a step that counts as zero, relative to the slope at its start."""
+
+
+CONSTANT = 1e-7
+"""Slope of a constant guard at both ends of a step, relative to a typical slope; orbits are exact to 1e-10."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class Margin:
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
             hit = self.considered(guard.name, "hit", _at_hit(f, step, step.hits[guard.name], scale * pace))
-            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, fresh))
+            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, scale * pace, fresh))
             if guard.name in before:
                 bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
                 slower = bounces & (hit < last)
@@ -146,7 +151,7 @@ class Margin:
         if section.velocity in self.scene.clocks:  # it always has its typical rate
             return [jnp.where(hit & armed, 1.0, jnp.full_like(pace, jnp.inf))]
         away = [-coefficient for coefficient in velocity] if section.rising else velocity
-        near = jnp.where(armed, _near_miss(away, step, speed, fresh), jnp.inf)
+        near = jnp.where(armed, _near_miss(away, step, speed, speed * pace, fresh), jnp.inf)
         return [_at_hit(velocity, step, hit & armed, speed * pace), near]
 
     def _at_switches(self, lane: Lane, step: Step) -> list[Array]:
@@ -181,8 +186,10 @@ def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> "jax.Array"
     return jnp.where(hit, jnp.abs(slope(f, step.tau)) / (step.h * rate), jnp.inf)
 
 
-def _near_miss(f: Coefficients, step: Step, scale: Array, fresh: Flags) -> "jax.Array":
+def _near_miss(f: Coefficients, step: Step, scale: Array, rate: Array, fresh: Flags) -> "jax.Array":
     """Return the minimum of a function within the step, at least 0, over `scale`; infinity without a minimum.
+
+    A function whose slope is much smaller than its typical `rate` at both ends is constant.
 
     Steps end where friction reverses, and hence at minima of gaps, where the slope is a rounding error. `fresh`: mask
     of the steps that begin with an event.
@@ -190,9 +197,11 @@ def _near_miss(f: Coefficients, step: Step, scale: Array, fresh: Flags) -> "jax.
     turns, place = turning(f, step.tau, 2)
     least = value(f, place)
     # A motion that has just left a surface along a tangent begins next to it, with a rate that is a rounding error.
+    constant = ~fresh & (jnp.maximum(jnp.abs(f[1]), jnp.abs(slope(f, step.tau))) <= CONSTANT * step.h * rate)
     departed = (fresh | (jnp.abs(f[1]) <= DEPARTED * scale)) & (f[0] <= DEPARTED * scale)
     # Down to the resolution of events, a guard may pass zero without one: the motion grazes.
-    return jnp.where(turns & ~departed, jnp.maximum(least, 0.0) / scale, jnp.inf)
+    least = jnp.where(constant, f[0], least)
+    return jnp.where(turns & ~departed | constant, jnp.maximum(least, 0.0) / scale, jnp.inf)
 
 
 def turning(f: Coefficients, end: Array, iterations: int = 3) -> tuple[Flags, Array]:
