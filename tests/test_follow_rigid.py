@@ -346,3 +346,28 @@ def test_branch_ends_where_greater_static_friction_makes_the_motion_jump(at, sti
     end = family.sortby("special_value").isel(special=-1 if sticks else 0)
     assert (str(end.special_note.values), end.special_value) == ("the family ends here", pytest.approx(last, abs=1e-9))
     assert special_values(family, "stick")[-1 if sticks else 0] == end.special_value
+
+
+@pytest.mark.long
+def test_rub_of_a_rotor_begins_all_along_its_circle():
+    """A rotor z whirls on a circle; outside the radius d, a stator pushes it back and rubs. Where the circle without
+    contact has the radius d, the side of the stator changes along the whole orbit at once. The response leans over, so
+    that the branch turns back at the second of these speeds."""
+    damping, stator, rub, d, e = 0.3, 3.0, 0.1, 0.6, 0.3
+
+    def rates(t, y, p, s):
+        push = (1 + s["rub"]) / 2 * stator * (1 - d / vj.elementary.sqrt(y["x"] ** 2 + y["y"] ** 2))
+        x = e * p["w"] ** 2 * cos(p["w"] * t) - damping * y["u"] - y["x"] - push * (y["x"] - rub * y["y"])
+        z = e * p["w"] ** 2 * vj.elementary.sin(p["w"] * t) - damping * y["v"] - y["y"] - push * (y["y"] + rub * y["x"])
+        return {"x": y["u"], "u": x, "y": y["v"], "v": z}
+
+    radius = lambda t, y, p: vj.elementary.sqrt(y["x"] ** 2 + y["y"] ** 2) - d  # noqa: E731
+    options = {"parameters": {"w": 1.0}, "period": lambda p: 2 * np.pi / p["w"], "events": [vj.Switch("rub", radius)]}
+    rotor = vj.System("rotor", states=dict.fromkeys("xuyv", "1"), field=rates, **options)
+    family = vj.follow(rotor, along="w", at=1.2, span=(0.8, 1.7), start=[0.7, 0.0, 0.0, 0.7], progress=False)
+    whirl = lambda w: e * w**2 / abs(1 - w**2 + 1j * damping * w) - d  # noqa: E731
+    begins = [brentq(whirl, low, high, xtol=1e-14) for low, high in ((0.8, 0.9), (1.3, 1.4))]
+    np.testing.assert_allclose(np.sort(special_values(family, "rub")), begins, rtol=1e-9)
+    np.testing.assert_allclose(np.sort(special_values(family, "end")), [0.8, 1.7])
+    inside = family.w.values[np.hypot(family.orbit_x, family.orbit_y) < d - 1e-6]
+    assert inside.min() < begins[0] and inside.max() > begins[1]

@@ -49,7 +49,7 @@ def onto_grazes(problem: Problem, whole: Brackets, changes: Brackets) -> Bracket
     before the graze is reached. The end with fewer events follows its margin, which is smooth there, to zero. The other
     end follows the chord: special points may be between it and the graze. `whole`: the brackets that were shrunk.
     """
-    ends = changes.near.of(slice(None)), changes.far.of(slice(None))
+    ends = tuple(side.of(np.arange(len(changes.place))) for side in (changes.near, changes.far))
     apart = np.abs(changes.far.u - changes.near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
     more = (changes.far.signature - changes.near.signature).sum(axis=1)
     for k in np.flatnonzero(apart & (more != 0)).tolist():
@@ -57,11 +57,12 @@ def onto_grazes(problem: Problem, whole: Brackets, changes: Brackets) -> Bracket
         before, last, other = (whole.near, whole.far)[few].of([k]), ends[few].of([k]), ends[many].of([k])
         share = CLOSER
         for _ in range(MARGIN_STEPS):
-            if last.margin[0] < AT_GRAZE:
+            gained = float(before.margin[0] - last.margin[0])
+            if last.margin[0] < AT_GRAZE or gained == 0:
                 break
             row = last.tangent
             way = float((row @ (last.u - before.u)[0])[0])
-            step = share * way * float(last.margin[0]) / float(before.margin[0] - last.margin[0])
+            step = share * way * float(last.margin[0]) / gained
             now = _beside(problem, last, row, step) if abs(step) < abs(way) else None
             if now is None or now.margin[0] >= last.margin[0]:
                 share /= 3  # the margin bends

@@ -60,7 +60,8 @@ class Margin:
     The margin has three rows (3, lanes), see `total`. The first is that of switches of friction, which vanishes where a
     stick phase appears or vanishes. The second is that of all other guards. The third limits the validity of
     derivatives: it is the least of both, with the square root of a near miss. Short of a graze, the map is smooth over
-    a distance of the margin itself, not of its square. `derives`: True if the margin is differentiated.
+    a distance of the margin itself, not of its square. It is 0 if two events happen at one instant.
+    `derives`: True if the margin is differentiated.
     """
 
     scene: Scene[Any]
@@ -121,7 +122,9 @@ class Margin:
                     jnp.where(rests, 0.0, jnp.where(bounces, hit, last)),
                 )
             margins += [hit, miss]
-            reach += [hit, jnp.sqrt(lax.stop_gradient(miss))]
+            # A guard that falls to zero at the instant of another event: the derivative may depend on their order.
+            together = step.hits[guard.name] & fresh & (step.dt == 0) & (jnp.abs(f[0]) <= DEPARTED * scale)
+            reach += [hit, jnp.sqrt(lax.stop_gradient(miss)), jnp.where(together, 0.0, jnp.inf)]
         least = (reduce(jnp.minimum, margins) for margins in (switches, others, reach))
         ended = reduce(jnp.logical_or, step.hits.values(), step.dt < 0)
         begins = jnp.where(ended, jnp.inf, jnp.where(step.dt > 0, 0.0, rows[6]))

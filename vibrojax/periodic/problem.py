@@ -143,7 +143,6 @@ class Problem:
     - `parameters`: the scene's parameters by name, each (families,); the values of `along` are unused.
     - `scales` (families, states): scales of the states.
     - `unit`, `first`, `last` (families, varied parameters): units and bounds of the varied parameters.
-    - `most_steps`: step limit between two section crossings, above which a motion counts as not returning.
     - `at_section`: whether an orbit is described by its states at the section.
     - `closes`: whether equal orbits have equal unknowns, so that a branch can be seen to be back where it began.
     - `noun`: word for a solution in notes; `weight`: factor of the scaled states among the unknowns.
@@ -163,11 +162,10 @@ class Problem:
     unit: Float[np.ndarray, "families varied"]
     first: Float[np.ndarray, "families varied"]
     last: Float[np.ndarray, "families varied"]
-    most_steps: float
 
     @cached_property
     def _map(self) -> Segments:
-        return Segments(self.scene, self.along, FAMILY_ACCURACY, self.most_steps)
+        return Segments(self.scene, self.along, FAMILY_ACCURACY)
 
     @property
     def rows(self) -> int:

@@ -25,8 +25,9 @@ from vibrojax.scenes.declared import Section, Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Step, Stepper, Varied, lane_at
 from vibrojax.threads import in_parallel
 
-MOST_STEPS = 4000.0
-"""Default limit of steps between two section crossings; the usual drill takes about fifty."""
+MOST_STEPS, MOST_FORCED_STEPS = 4000.0, 40_000.0
+"""Default limit of steps between two section crossings; the usual drill takes about fifty. Forced motions reach their
+section at a given time, with as many steps as the fastest part of the system needs."""
 
 
 Index = Int[np.ndarray, " segments"]
@@ -194,7 +195,8 @@ class ReturnLoop(NamedTuple):
         return self.margin(c) if self.margin else Margin(self.scene, self.scene.section, c, False)
 
     def _moving(self, flight: _Flight) -> Flags:
-        return ~flight.seen.returned & (flight.seen.steps < self.most_steps) & jnp.isfinite(flight.lane.state[0])
+        most = self.most_steps if self.scene.autonomous else MOST_FORCED_STEPS
+        return ~flight.seen.returned & (flight.seen.steps < most) & jnp.isfinite(flight.lane.state[0])
 
 
 def map_state(scene: Scene[Any], lane: Lane) -> Array:
