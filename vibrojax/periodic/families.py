@@ -12,7 +12,7 @@ from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.arclength import ENDED, STALLED, STOPPED, VANISHED, Stop
 from vibrojax.periodic.brackets import LOCATED_WITHIN, Brackets
 from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator, branch_point_ahead, second_tangent
-from vibrojax.periodic.grazes import GRAZED_MARGIN, extrapolated_graze
+from vibrojax.periodic.grazes import GRAZED_MARGIN, graze_beside
 from vibrojax.periodic.hopf import hopf_point
 from vibrojax.periodic.joined_branches import drop_duplicates, end_where_joined, invariants, is_among
 from vibrojax.periodic.location import classify_event_changes, cross_impact, reindex_returns, turn_corner
@@ -298,7 +298,7 @@ class FamilyContinuation(Tracing):
 
 
 def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
-    """Move grazes of one branch that were reached from the side with more events to their limits.
+    """Move grazes of one branch that were reached from the side with more events onto the end of the other side.
 
     Other changes of events up to the limit are the same graze: short of it, its events are too near to be told apart.
     Where a mass grazes against friction, the last event that is told apart may be a stick.
@@ -307,10 +307,10 @@ def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
         for mark in [mark for mark in segment.marks if mark.kind in ("grazing", "stick") and not mark.event]:
             if spectral_radius(mark.orbit.product)[0] < STEEP_GRAZE or all(m is not mark for m in segment.marks):
                 continue
-            before = segment.points.of(slice(0, mark.place + 1))
-            limit = extrapolated_graze(problem, Points.join([before, mark.orbit]))
-            if limit is None:
+            graze = graze_beside(problem, mark.orbit)
+            if graze is None:
                 continue
+            limit = graze.u
             reach = SAME_POINT + abs(limit[0, -1] - mark.orbit.u[0, -1])
 
             def is_same(other: Mark, mark: Mark = mark, limit: np.ndarray = limit, reach: float = reach) -> bool:
