@@ -310,20 +310,21 @@ def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
             graze = graze_beside(problem, mark.orbit)
             if graze is None:
                 continue
-            limit = graze.u
-            reach = SAME_POINT + abs(limit[0, -1] - mark.orbit.u[0, -1])
-
-            def is_same(other: Mark, mark: Mark = mark, limit: np.ndarray = limit, reach: float = reach) -> bool:
-                if other is mark or other.kind not in ("grazing", "stick") or other.orbit.u.shape != limit.shape:
-                    return False
-                off = np.abs(other.orbit.u - limit)[0]
-                return bool(off[-1] <= reach and off.max() < POINT_SPACING)
-
+            reach = SAME_POINT + abs(graze.u - mark.orbit.u)[0, -1]
             for each in segments:
-                each.marks = [m for m in each.marks if not is_same(m)]
+                each.marks = [m for m in each.marks if m is mark or not _is_graze(m, graze.u, reach)]
             place = next(k for k, m in enumerate(segment.marks) if m is mark)
-            orbit = mark.orbit._replace(u=limit, margin=np.zeros(1))
-            segment.marks[place] = mark._replace(kind="grazing", orbit=orbit)
+            kind = "grazing" if graze.impacts[0] != mark.orbit.impacts[0] else mark.kind
+            orbit = mark.orbit._replace(u=graze.u, margin=np.zeros(1))
+            segment.marks[place] = mark._replace(kind=kind, orbit=orbit)
+
+
+def _is_graze(mark: Mark, graze: np.ndarray, reach: float) -> bool:
+    """Return whether a special point is a graze with these unknowns, up to `reach` in the parameter."""
+    if mark.kind not in ("grazing", "stick") or mark.orbit.u.shape != graze.shape:
+        return False
+    off = np.abs(mark.orbit.u - graze)[0]
+    return bool(off[-1] <= reach and off.max() < POINT_SPACING)
 
 
 def _end_at_hopf(segment: Segment, hopf: Points, note: str) -> None:

@@ -8,7 +8,7 @@ orbits of the two sides then differ, and the branch ends at the last orbit of it
 import numpy as np
 
 from vibrojax.periodic.brackets import ACCEPTED_WITHIN, Brackets
-from vibrojax.periodic.problem import PerLane, Points, Problem, Unknowns, towards
+from vibrojax.periodic.problem import Points, Problem, Unknowns, towards
 
 GRAZED_MARGIN = 1e-4
 """Largest grazing margin of a grazing point. The margin may vary as the square root of the distance, and points are
@@ -88,7 +88,8 @@ def _at_no_margin(points: Points) -> Unknowns:
     way = points.of(points.margin >= 2 * points.margin[-1])
     if not len(way.u) or points.margin[-1] < AT_GRAZE:
         return points.u[-1:]
-    return _neville(np.append(points.margin[-1], way.margin[-1]), np.stack([points.u[-1], way.u[-1]]), 0.0)[-1]
+    near, far = points.of([-1]), way.of([-1])
+    return np.asarray(near.u + (near.u - far.u) * near.margin / (far.margin - near.margin))
 
 
 def _to_last_orbit(problem: Problem, point: Points, step: float) -> Points:
@@ -149,13 +150,3 @@ def _at_zero_margin(problem: Problem, before: Points, last: Points) -> Points:
         else:
             before, last, share = last, now, CLOSER
     return last
-
-
-def _neville(x: PerLane, y: Unknowns, at: float) -> list[np.ndarray]:
-    """Return the values (1, columns) at one place of the polynomials through the first 1, 2, ... points."""
-    rows, values = y, [y[:1]]
-    for degree in range(1, len(x)):
-        low, high = (x[:-degree] - at)[:, None], (x[degree:] - at)[:, None]
-        rows = (high * rows[:-1] - low * rows[1:]) / (high - low)
-        values.append(rows[:1])
-    return values
