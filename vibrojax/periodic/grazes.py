@@ -31,10 +31,10 @@ LEAST_JUMP = 1e-5
 """Scaled distance of the last orbits from which on the map jumps. Next to grazes of impacts, where slopes are up to
 5e5, rounding errors are up to 5e-7."""
 
-BESIDE = (1e-6, 1e-5, 1e-4, 1e-3)
+BESIDE = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 """Scaled distances of the parameter from a graze at which an orbit with fewer events is sought."""
 
-SAME_GRAZE = 1e-4
+SAME_GRAZE = 1e-2
 """Scaled distance from a steep orbit within which the graze of the orbit with fewer events is its graze."""
 
 
