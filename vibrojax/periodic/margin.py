@@ -101,13 +101,16 @@ class Margin:
         )
         last, series, first = rows[3:6]
         before, after = self.scene.at_rest(step.mode), self.scene.at_rest(lane.mode)
+        held = [step.mode[place] == 0 for place in self.scene.switch_places.values()]
+        # While a body is held, guards are constant; only those of a body that moves show that its orbit is a circle.
+        constant = jnp.where(reduce(jnp.logical_or, [*held, *before.values()], fresh), -1.0, CONSTANT * pace)
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             if guard.name in self.scene.clocks:
                 continue
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
             hit = self.considered(guard.name, "hit", _at_hit(f, step, step.hits[guard.name], scale * pace))
-            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, scale * pace, fresh))
+            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, constant * scale, fresh))
             if guard.name in before:
                 bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
                 slower = bounces & (hit < last)
@@ -154,7 +157,7 @@ class Margin:
         if section.velocity in self.scene.clocks:  # it always has its typical rate
             return [jnp.where(hit & armed, 1.0, jnp.full_like(pace, jnp.inf))]
         away = [-coefficient for coefficient in velocity] if section.rising else velocity
-        near = jnp.where(armed, _near_miss(away, step, speed, speed * pace, fresh), jnp.inf)
+        near = jnp.where(armed, _near_miss(away, step, speed, -speed, fresh), jnp.inf)
         return [_at_hit(velocity, step, hit & armed, speed * pace), near]
 
     def _at_switches(self, lane: Lane, step: Step) -> list[Array]:
@@ -192,7 +195,7 @@ def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> "jax.Array"
 def _near_miss(f: Coefficients, step: Step, scale: Array, rate: Array, fresh: Flags) -> "jax.Array":
     """Return the minimum of a function within the step, at least 0, over `scale`; infinity without a minimum.
 
-    A function whose slope is much smaller than its typical `rate` at both ends is constant.
+    A function whose slope is not above `rate` at both ends is constant; none is with a negative rate.
 
     Steps end where friction reverses, and hence at minima of gaps, where the slope is a rounding error. `fresh`: mask
     of the steps that begin with an event.
@@ -200,7 +203,7 @@ def _near_miss(f: Coefficients, step: Step, scale: Array, rate: Array, fresh: Fl
     turns, place = turning(f, step.tau, 2)
     least = value(f, place)
     # A motion that has just left a surface along a tangent begins next to it, with a rate that is a rounding error.
-    constant = ~fresh & (jnp.maximum(jnp.abs(f[1]), jnp.abs(slope(f, step.tau))) <= CONSTANT * step.h * rate)
+    constant = jnp.maximum(jnp.abs(f[1]), jnp.abs(slope(f, step.tau))) <= step.h * rate
     departed = (fresh | (jnp.abs(f[1]) <= DEPARTED * scale)) & (f[0] <= DEPARTED * scale)
     # Down to the resolution of events, a guard may pass zero without one: the motion grazes.
     least = jnp.where(constant, f[0], least)
