@@ -34,7 +34,7 @@ from vibrojax.periodic.newton import (
     solve,
 )
 from vibrojax.periodic.problem import FAMILY_ACCURACY, Index, PerLane, Points, Problem, Unknowns
-from vibrojax.periodic.return_map import bounds_of, over_segments
+from vibrojax.periodic.return_map import MOST_STEPS, bounds_of, over_segments
 from vibrojax.periodic.variations import DERIVATIVE_ACCURACY, second_variation
 from vibrojax.stepping import Varied
 
@@ -87,7 +87,7 @@ class CurveProblem(Problem):
         p, states = self.segments(curve, u)
         cycles = self.cycles(u)
         own = {name: p[name] for name in self.scene.parameters()}, states, np.repeat(chosen, cycles, axis=0).T
-        bounds = bounds_of(FAMILY_ACCURACY, self.most_steps)
+        bounds = bounds_of(FAMILY_ACCURACY, MOST_STEPS)
         images, rate = over_segments(lambda *part: event_mapped(self.scene, self.along, *part, *bounds), *own)
         columns = np.column_stack([self.scales[curve], self.unit[curve]])
         rates = np.asarray(rate).T.reshape(len(u), cycles, -1) * columns[:, None]
@@ -204,7 +204,7 @@ class CurveProblem(Problem):
         changes = {name: (column == rows + k) + 0.0 for k, name in enumerate(self.along)}
         own = {name: p[name][segment] for name in self.scene.parameters()}
         pairs = {name: (x, changes.get(name, 0.0 * x)) for name, x in own.items()}
-        begin, bounds = (states[:, segment], first[:, segment], second), bounds_of(DERIVATIVE_ACCURACY, self.most_steps)
+        begin, bounds = (states[:, segment], first[:, segment], second), bounds_of(DERIVATIVE_ACCURACY, MOST_STEPS)
 
         def moved(*part: Any) -> Any:
             return second_variation(self.scene, Varied(), *part, *bounds)[1][2]

@@ -75,7 +75,7 @@ class EquilibriumProblem(Problem):
         rate[families] = np.abs(jacobian * own[:, None, :] / own[:, :, None]).max(axis=(1, 2))
         problem = cls(
             scene=scene, along=section.along, parameters=section.parameters, scales=scales, unit=section.unit,
-            first=section.first, last=section.last, most_steps=section.most_steps, rate=rate,
+            first=section.first, last=section.last, rate=rate,
         )  # fmt: skip
         return problem, list(problem.unknowns(families, states[:, None], values[:, None]))
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.periodic.arclength import ENDED, STALLED, STOPPED, VANISHED, Stop
-from vibrojax.periodic.brackets import Brackets
+from vibrojax.periodic.brackets import LOCATED_WITHIN, Brackets
 from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator, branch_point_ahead, second_tangent
-from vibrojax.periodic.grazes import GRAZED_MARGIN, extrapolated_graze
+from vibrojax.periodic.grazes import GRAZED_MARGIN, graze_beside
 from vibrojax.periodic.hopf import hopf_point
 from vibrojax.periodic.joined_branches import drop_duplicates, end_where_joined, invariants, is_among
 from vibrojax.periodic.location import classify_event_changes, cross_impact, reindex_returns, turn_corner
@@ -198,6 +198,10 @@ class FamilyContinuation(Tracing):
         for k, place in enumerate(special.place.tolist()):
             kind, orbit, beyond = SPECIAL_KINDS[special.kind[k]], special.near.of([k]), special.far.of([k])
             event, note = change_of(self._problem.scene, kind, orbit, beyond)
+            # Next to a change, rounding errors may decide on a third order of events.
+            known = [m.orbit.u - orbit.u for m in segment.marks if (m.kind, m.event) == (kind, event)]
+            if any(np.abs(off).max() < 10 * LOCATED_WITHIN for off in known):
+                continue
             segment.marks.append(Mark(orbit, kind, note, place, event=event))
         u = segment.points.u
         segment.marks.sort(key=lambda mark: (mark.place, np.abs(mark.orbit.u[0] - u[mark.place]).max()))
@@ -294,7 +298,7 @@ class FamilyContinuation(Tracing):
 
 
 def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
-    """Move grazes of one branch that were reached from the side with more events to their limits.
+    """Move grazes of one branch that were reached from the side with more events onto the end of the other side.
 
     Other changes of events up to the limit are the same graze: shortly before it, its events are too close together to
     be distinguished. If a mass grazes against friction, the last event that can be distinguished may be a stick.
@@ -303,23 +307,24 @@ def _refine_grazes(problem: Problem, segments: list[Segment]) -> None:
         for mark in [mark for mark in segment.marks if mark.kind in ("grazing", "stick") and not mark.event]:
             if spectral_radius(mark.orbit.product)[0] < STEEP_GRAZE or all(m is not mark for m in segment.marks):
                 continue
-            before = segment.points.of(slice(0, mark.place + 1))
-            limit = extrapolated_graze(problem, Points.join([before, mark.orbit]))
-            if limit is None:
+            graze = graze_beside(problem, mark.orbit)
+            if graze is None:
                 continue
-            reach = SAME_POINT + abs(limit[0, -1] - mark.orbit.u[0, -1])
-
-            def is_same(other: Mark, mark: Mark = mark, limit: np.ndarray = limit, reach: float = reach) -> bool:
-                if other is mark or other.kind not in ("grazing", "stick") or other.orbit.u.shape != limit.shape:
-                    return False
-                off = np.abs(other.orbit.u - limit)[0]
-                return bool(off[-1] <= reach and off.max() < POINT_SPACING)
-
+            reach = SAME_POINT + abs(graze.u - mark.orbit.u)[0, -1]
             for each in segments:
-                each.marks = [m for m in each.marks if not is_same(m)]
+                each.marks = [m for m in each.marks if m is mark or not _is_graze(m, graze.u, reach)]
             place = next(k for k, m in enumerate(segment.marks) if m is mark)
-            orbit = mark.orbit._replace(u=limit, margin=np.zeros(1))
-            segment.marks[place] = mark._replace(kind="grazing", orbit=orbit)
+            kind = "grazing" if graze.impacts[0] != mark.orbit.impacts[0] else mark.kind
+            orbit = mark.orbit._replace(u=graze.u, margin=np.zeros(1))
+            segment.marks[place] = mark._replace(kind=kind, orbit=orbit)
+
+
+def _is_graze(mark: Mark, graze: np.ndarray, reach: float) -> bool:
+    """Return whether a special point is a graze with these unknowns, up to `reach` in the parameter."""
+    if mark.kind not in ("grazing", "stick") or mark.orbit.u.shape != graze.shape:
+        return False
+    off = np.abs(mark.orbit.u - graze)[0]
+    return bool(off[-1] <= reach and off.max() < POINT_SPACING)
 
 
 def _end_at_hopf(segment: Segment, hopf: Points, note: str) -> None:

@@ -8,7 +8,7 @@ orbits of the two sides then differ, and the branch ends at the last orbit of it
 import numpy as np
 
 from vibrojax.periodic.brackets import ACCEPTED_WITHIN, Brackets
-from vibrojax.periodic.problem import PerLane, Points, Problem, Unknowns, solve_bordered
+from vibrojax.periodic.problem import Points, Problem, Unknowns, towards
 
 GRAZED_MARGIN = 1e-4
 """Largest grazing margin of a grazing point. The margin may vary as the square root of the distance, and points are
@@ -31,15 +31,11 @@ LEAST_JUMP = 1e-5
 """Scaled distance of the last orbits from which on the map jumps. Next to grazes of impacts, where slopes are up to
 5e5, rounding errors are up to 5e-7."""
 
-NODES, NODE_RATIO = 1e-3 * 2.0 ** np.arange(6), 2.0
-"""Margins from which a graze is extrapolated (at much smaller ones, events are too near to be told apart), and least
-ratio of the margins of two points."""
+BESIDE = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+"""Scaled distances of the parameter from a graze at which an orbit with fewer events is sought."""
 
-NODE_POLISHES = 2
-"""Newton steps after convergence, which is judged relative to the multipliers."""
-
-EXTRAPOLATED_WITHIN = 1e-7
-"""Largest scaled difference between extrapolations of a graze by polynomials of successive degrees."""
+SAME_GRAZE = 1e-2
+"""Scaled distance from a steep orbit within which the graze of the orbit with fewer events is its graze."""
 
 
 def onto_grazes(problem: Problem, whole: Brackets, changes: Brackets) -> Brackets:
@@ -49,24 +45,13 @@ def onto_grazes(problem: Problem, whole: Brackets, changes: Brackets) -> Bracket
     before the graze is reached. The end with fewer events follows its margin, which is smooth there, to zero. The other
     end follows the chord: special points may be between it and the graze. `whole`: the brackets that were shrunk.
     """
-    ends = changes.near.of(slice(None)), changes.far.of(slice(None))
+    ends = tuple(side.of(np.arange(len(changes.place))) for side in (changes.near, changes.far))
     apart = np.abs(changes.far.u - changes.near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
     more = (changes.far.signature - changes.near.signature).sum(axis=1)
     for k in np.flatnonzero(apart & (more != 0)).tolist():
         few, many = (0, 1) if more[k] > 0 else (1, 0)
         before, last, other = (whole.near, whole.far)[few].of([k]), ends[few].of([k]), ends[many].of([k])
-        share = CLOSER
-        for _ in range(MARGIN_STEPS):
-            if last.margin[0] < AT_GRAZE:
-                break
-            row = last.tangent
-            way = float((row @ (last.u - before.u)[0])[0])
-            step = share * way * float(last.margin[0]) / float(before.margin[0] - last.margin[0])
-            now = _beside(problem, last, row, step) if abs(step) < abs(way) else None
-            if now is None or now.margin[0] >= last.margin[0]:
-                share /= 3  # the margin bends
-            else:
-                before, last, share = last, now, CLOSER
+        last = _at_zero_margin(problem, before, last)
         ends[few].put([k], last)
         chord, sign = last.u - other.u, 1.0 if many == 0 else -1.0
         for _ in range(CHORD_STEPS):
@@ -103,7 +88,8 @@ def _at_no_margin(points: Points) -> Unknowns:
     way = points.of(points.margin >= 2 * points.margin[-1])
     if not len(way.u) or points.margin[-1] < AT_GRAZE:
         return points.u[-1:]
-    return _neville(np.append(points.margin[-1], way.margin[-1]), np.stack([points.u[-1], way.u[-1]]), 0.0)[-1]
+    near, far = points.of([-1]), way.of([-1])
+    return np.asarray(near.u + (near.u - far.u) * near.margin / (far.margin - near.margin))
 
 
 def _to_last_orbit(problem: Problem, point: Points, step: float) -> Points:
@@ -126,44 +112,41 @@ def _beside(problem: Problem, point: Points, row: Unknowns, step: float) -> Poin
     return now if converged[0] and (now.signature == point.signature).all() else None
 
 
-def extrapolated_graze(problem: Problem, points: Points) -> Unknowns | None:
-    """Return the unknowns (1, unknowns) at the graze to which a branch leads from the side with more events, or None.
+def graze_beside(problem: Problem, point: Points) -> Points | None:
+    """Return the graze next to an orbit with more events, as the end of the orbits with fewer, or None.
 
-    The map has a square root there, and multipliers grow without limit, so that the branch stalls short of the graze.
-    In the velocity of the grazing impact, to which the margin is proportional, the branch is smooth (Nordmark, *Journal
-    of Sound and Vibration* 145 (1991), 279). A polynomial through orbits with small margins leads to the margin zero.
-    `points`: of one branch, the last one next to the graze.
+    On the side with more events the map has a square root, multipliers grow without limit, and branches stall short of
+    the graze (Nordmark, *Journal of Sound and Vibration* 145 (1991), 279). On one side of its parameter, there is an
+    orbit without these events, along which the margin is smooth.
     """
-    same = (points.signature == points.signature[-1]).all(axis=1)
-    known: list[int] = []
-    for k in range(len(same) - 1, np.flatnonzero(~same).max(initial=-1), -1):
-        if points.margin[k] >= (NODE_RATIO * points.margin[known[-1]] if known else NODES[0] / 2):
-            known.append(k)
-    known = known[: len(NODES)]
-    if len(known) < 2:
-        return None
-    guess = np.concatenate([_neville(points.margin[known], points.u[known], m)[-1] for m in NODES])
-    family, row = np.repeat(points.family[:1], len(guess)), np.repeat(guess[-1:] - guess[:1], len(guess), axis=0)
-    row /= np.linalg.norm(row, axis=1, keepdims=True)
-    level = np.einsum("ij,ij->i", row, guess)
-    nodes, converged = problem.correct(family, guess, row, level)
-    for _ in range(NODE_POLISHES):
-        short = np.einsum("ij,ij->i", row, nodes.u) - level
-        step = solve_bordered(nodes.matrix, row, -np.column_stack([nodes.off, short]))
-        nodes = problem.evaluate(family, nodes.u + np.nan_to_num(step))
-    nodes = nodes.of(converged & (nodes.signature == points.signature[-1]).all(axis=1))
-    if len(nodes.u) < 3 or not (np.diff(nodes.margin) > 0).all():
-        return None
-    before, limit = _neville(nodes.margin, nodes.u, 0.0)[-2:]
-    error = np.abs(limit - before).max()
-    return limit if error < min(EXTRAPOLATED_WITHIN, np.abs(limit - points.u[-1]).max()) else None
+    for distance in BESIDE:
+        for sign in (1.0, -1.0):
+            row = towards(point.u, sign)
+            guess = point.u + distance * row
+            now, converged = problem.correct(point.family, guess, row, sign * guess[:, -1])
+            fewer = now.signature.sum() < point.signature.sum()
+            away = _beside(problem, now, row, distance) if converged[0] and fewer else None
+            if away is None:
+                continue
+            graze = _at_zero_margin(problem, away, now)
+            if graze.margin[0] < AT_GRAZE and np.abs(graze.u - point.u).max() < SAME_GRAZE:
+                return graze
+    return None
 
 
-def _neville(x: PerLane, y: Unknowns, at: float) -> list[np.ndarray]:
-    """Return the values (1, columns) at one place of the polynomials through the first 1, 2, ... points."""
-    rows, values = y, [y[:1]]
-    for degree in range(1, len(x)):
-        low, high = (x[:-degree] - at)[:, None], (x[degree:] - at)[:, None]
-        rows = (high * rows[:-1] - low * rows[1:]) / (high - low)
-        values.append(rows[:1])
-    return values
+def _at_zero_margin(problem: Problem, before: Points, last: Points) -> Points:
+    """Return the orbit to which two orbits of a branch lead as their margin, which is smooth there, goes to zero."""
+    share = CLOSER
+    for _ in range(MARGIN_STEPS):
+        gained = float(before.margin[0] - last.margin[0])
+        if last.margin[0] < AT_GRAZE or gained == 0:
+            break
+        row = last.tangent
+        way = float((row @ (last.u - before.u)[0])[0])
+        step = share * way * float(last.margin[0]) / gained
+        now = _beside(problem, last, row, step) if abs(step) < abs(way) else None
+        if now is None or now.margin[0] >= last.margin[0]:
+            share /= 3  # the margin bends
+        else:
+            before, last, share = last, now, CLOSER
+    return last

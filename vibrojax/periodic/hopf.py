@@ -56,7 +56,9 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     The residual and the margin of the point are zero, and one of its multipliers is 1.
     """
     last, scene = points.of([-1]), problem.scene
-    if scene.section is None or last.times.shape[1] > 1 or last.signature.any() or not np.isfinite(last.times).all():
+    if scene.section is None or last.times.shape[1] > 1 or not np.isfinite(last.times).all():
+        return None
+    if (last.signature >= 1).any():
         return None
     family, [along] = last.family, problem.along
     extrapolated = _extrapolated(problem, points)

@@ -56,6 +56,8 @@ def end_where_joined(segments: list[Segment], problem: Problem) -> None:
                 end = problem.evaluate(last.family, nearest[None])._replace(tangent=last.tangent)
                 segment.points = Points.join([segment.points, end])
                 segment.marks = [mark for mark in segment.marks if mark.note != JOINS]
+                for own_part in (s for s in segments if _branch(s) == _branch(segment) and s is not segment):
+                    own_part.drop(name, end, but=JOINS)
                 segment.mark(name, JOINS)
                 break
 

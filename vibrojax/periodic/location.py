@@ -253,22 +253,28 @@ def _other_side(problem: Problem, last: Points, known: Sequence[np.ndarray]) -> 
 
 
 def _continued(problem: Problem, before: Points, last: Points, other: Points) -> tuple[Flags, Points]:
-    """Return a mask of the corners behind which orbits with the events of `other` go on, and points of these, or it."""
+    """Return a mask of the corners behind which orbits with the events of `other` go on, and points of these, or it.
+
+    Where events change all along an orbit at once, as those of a circle about a stop, probes have events of both sides.
+    A branch that turns back there is sought at the mirror images of the points before the corner.
+    """
     turned, beyond = np.zeros(len(last.u), bool), other.of(np.arange(len(last.u)))
     sound = np.isfinite(other.matrix).all(axis=(1, 2))
-    direction = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
+    null = np.linalg.svd(np.where(sound[:, None, None], other.matrix, 0.0))[2][:, -1]  # null vectors
+    mirrored = np.concatenate([last.tangent[:, :-1], -last.tangent[:, -1:]], axis=1)
     # A jump of the period means that other section crossings are counted, not that there is a corner.
     same = np.abs(other.period - last.period) < SAME_TIME * last.period
     same &= (other.signature != before.signature).any(axis=1)
     for distance in DEPARTURE_DISTANCES:
-        for sign in (1.0, -1.0):
+        for direction in (null, -null, mirrored):
             subset = np.flatnonzero(~turned & same & sound)
             if not len(subset):
                 break
-            t = sign * direction[subset]
+            t = direction[subset]
             guess = last.u[subset] + distance * t
             now, right = problem.correct(last.family[subset], guess, t, np.einsum("ij,ij->i", t, guess))
-            right &= (now.signature == other.signature[subset]).all(axis=1)
+            known = (before if direction is mirrored else other).signature[subset]
+            right &= (now.signature == known).all(axis=1) != (direction is mirrored)
             right &= np.abs(now.u - guess).max(axis=1) < 0.5 * distance
             kept = subset[right]
             turned[kept] = True

@@ -4,6 +4,7 @@ Guards are functions that are positive within a mode. The margin is the smallest
 
 - where a guard reaches zero: its slope, relative to a typical slope;
 - where a guard has a positive minimum within a step: that minimum, relative to a typical value;
+- where a guard is constant, as along a circular orbit: its value, relative to a typical value;
 - at a switch: the guard values with which the new mode begins, relative to typical values. These values vanish where a
   stick phase appears or vanishes.
 
@@ -48,6 +49,10 @@ FLAT = 1e-9
 """Slope at the end of a step that counts as zero, relative to the slope at its start."""
 
 
+CONSTANT = 1e-7
+"""Slope of a constant guard at both ends of a step, relative to a typical slope; orbits are exact to 1e-10."""
+
+
 @dataclass(frozen=True)
 class Margin:
     """Grazing margin of a motion of `scene` with the constants `c`, accumulated step by step.
@@ -55,7 +60,8 @@ class Margin:
     The margin has three rows (3, lanes), see `total`. The first is that of switches of friction, which vanishes where a
     stick phase appears or vanishes. The second is that of all other guards. The third limits the validity of
     derivatives: it is the least of both, with the square root of a near miss. Short of a graze, the map is smooth over
-    a distance of the margin itself, not of its square. `derives`: True if the margin is differentiated.
+    a distance of the margin itself, not of its square. It is 0 if two events happen at one instant.
+    `derives`: True if the margin is differentiated.
     """
 
     scene: Scene[Any]
@@ -95,13 +101,16 @@ class Margin:
         )
         last, series, first = rows[3:6]
         before, after = self.scene.at_rest(step.mode), self.scene.at_rest(lane.mode)
+        held = [step.mode[place] == 0 for place in self.scene.switch_places.values()]
+        # While a body is held, guards are constant; only those of a body that moves show that its orbit is a circle.
+        constant = jnp.where(reduce(jnp.logical_or, [*held, *before.values()], fresh), -1.0, CONSTANT * pace)
         for guard, function, scale in zip(self.scene.guards(), functions, scales, strict=True):
             if guard.name in self.scene.clocks:
                 continue
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
             hit = self.considered(guard.name, "hit", _at_hit(f, step, step.hits[guard.name], scale * pace))
-            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, fresh))
+            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, constant * scale, fresh))
             if guard.name in before:
                 bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
                 slower = bounces & (hit < last)
@@ -116,7 +125,9 @@ class Margin:
                     jnp.where(rests, 0.0, jnp.where(bounces, hit, last)),
                 )
             margins += [hit, miss]
-            reach += [hit, jnp.sqrt(lax.stop_gradient(miss))]
+            # A guard that falls to zero at the instant of another event: the derivative may depend on their order.
+            together = step.hits[guard.name] & fresh & (step.dt == 0) & (jnp.abs(f[0]) <= DEPARTED * scale)
+            reach += [hit, jnp.sqrt(lax.stop_gradient(miss)), jnp.where(together, 0.0, jnp.inf)]
         least = (reduce(jnp.minimum, margins) for margins in (switches, others, reach))
         ended = reduce(jnp.logical_or, step.hits.values(), step.dt < 0)
         begins = jnp.where(ended, jnp.inf, jnp.where(step.dt > 0, 0.0, rows[6]))
@@ -146,7 +157,7 @@ class Margin:
         if section.velocity in self.scene.clocks:  # it always has its typical rate
             return [jnp.where(hit & armed, 1.0, jnp.full_like(pace, jnp.inf))]
         away = [-coefficient for coefficient in velocity] if section.rising else velocity
-        near = jnp.where(armed, _near_miss(away, step, speed, fresh), jnp.inf)
+        near = jnp.where(armed, _near_miss(away, step, speed, -speed, fresh), jnp.inf)
         return [_at_hit(velocity, step, hit & armed, speed * pace), near]
 
     def _at_switches(self, lane: Lane, step: Step) -> list[Array]:
@@ -181,8 +192,10 @@ def _at_hit(f: Coefficients, step: Step, hit: Flags, rate: Array) -> "jax.Array"
     return jnp.where(hit, jnp.abs(slope(f, step.tau)) / (step.h * rate), jnp.inf)
 
 
-def _near_miss(f: Coefficients, step: Step, scale: Array, fresh: Flags) -> "jax.Array":
+def _near_miss(f: Coefficients, step: Step, scale: Array, rate: Array, fresh: Flags) -> "jax.Array":
     """Return the minimum of a function within the step, at least 0, over `scale`; infinity without a minimum.
+
+    A function whose slope is not above `rate` at both ends is constant; none is with a negative rate.
 
     Steps end where friction reverses, and hence at minima of gaps, where the slope is a rounding error. `fresh`: mask
     of the steps that begin with an event.
@@ -190,9 +203,11 @@ def _near_miss(f: Coefficients, step: Step, scale: Array, fresh: Flags) -> "jax.
     turns, place = turning(f, step.tau, 2)
     least = value(f, place)
     # A motion that has just left a surface along a tangent begins next to it, with a rate that is a rounding error.
+    constant = jnp.maximum(jnp.abs(f[1]), jnp.abs(slope(f, step.tau))) <= step.h * rate
     departed = (fresh | (jnp.abs(f[1]) <= DEPARTED * scale)) & (f[0] <= DEPARTED * scale)
     # Down to the resolution of events, a guard may pass zero without one: the motion grazes.
-    return jnp.where(turns & ~departed, jnp.maximum(least, 0.0) / scale, jnp.inf)
+    least = jnp.where(constant, f[0], least)
+    return jnp.where(turns & ~departed | constant, jnp.maximum(least, 0.0) / scale, jnp.inf)
 
 
 def turning(f: Coefficients, end: Array, iterations: int = 3) -> tuple[Flags, Array]:

@@ -55,14 +55,15 @@ MIN_RELATIVE_SWING = 1e-3
 
 NEWTON_MAX_ITERATIONS = 8
 
+KINK_STEP, MOST_KINK = 1e-6, 1e-3
+"""Scaled change of the states to both sides of an orbit with two events at one instant, and least difference of the
+slopes, there, at which the map has no derivative: that of one order of the events differs from that of the other."""
+
 SAME_STATE = 1e-6
 """Scaled distance (in units of the states' scales) within which two states of an orbit count as equal."""
 
 SAME_ORBIT = 1e-4
 """Scaled distance below which two orbits are the same; Newton's method finds orbits to 1e-10."""
-
-STEP_ALLOWANCE = 8
-"""Step limit between two crossings of motions close to orbits, as a multiple of the steps that the orbits take."""
 
 PerOrbit = Float[np.ndarray, " orbits"]
 Mask = Bool[np.ndarray, " orbits"]
@@ -176,6 +177,13 @@ class Orbits:
             on = np.isfinite(reached) & (reached > enough) & ((reached < before / 2) | (reached > ACCEPTED))
             active, iterate, now = active[on], iterate[on], jax.tree.map(lambda x, on=on: x[on], now)
         product, (margin, reach) = chain(best.jacobian), over_period(best.seen.margin).T
+        together = np.flatnonzero((reach == 0) & (residual <= ACCEPTED))
+        if len(together):
+            off, unit = KINK_STEP * np.sqrt(1.0 + np.arange(rows)), scales[together, None]
+            ahead, behind = (evaluate(states[together] + sign * off * unit, together).state for sign in (1.0, -1.0))
+            kink = np.abs(ahead + behind - 2 * jax.tree.map(lambda x: x[together], best).state) / unit
+            smooth = kink.max(axis=(1, 2)) < MOST_KINK * KINK_STEP
+            reach[together] = np.where(smooth, margin[together], 0.0)
         outside |= same_side & (side * branch_determinant(product) < 0)
         return cls(
             scene=scene,
@@ -245,11 +253,6 @@ class Orbits:
     def neutral(self) -> Mask:
         """Mask of the orbits with a multiplier of 1, which do not depend smoothly on the parameters."""
         return ~(np.abs(1 - self.multipliers).min(axis=1) >= NEUTRAL)
-
-    @property
-    def most_steps(self) -> float:
-        """Step limit between two crossings of motions close to these orbits."""
-        return STEP_ALLOWANCE * float(self.steps.max(initial=0.0))
 
     def minimal_cycles(self, within: float = SAME_STATE) -> Int[np.ndarray, " orbits"]:
         """Return the least number of section crossings per period of each orbit, a divisor of its number of states.

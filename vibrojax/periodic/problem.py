@@ -75,7 +75,8 @@ class Points(NamedTuple):
     - `times` (lanes, p) [s]: time from each state to the next; infinite where the section is not reached.
     - `product`: derivative of the map over one period of the motion, in scaled states; its eigenvalues are the
       multipliers.
-    - `impacts` (lanes,), `mode_changes` (lanes, modes, 3): see [vibrojax.periodic.return_map.ReturnEvents][].
+    - `impacts` (lanes,), `mode_changes` (lanes, modes, 3): see [vibrojax.periodic.return_map.ReturnEvents][]; a mode
+      that never changes counts 1/2 at its value.
     - `margin` (lanes,): grazing margin.
     - `swing` (lanes,): largest amplitude of a state, relative to its scale.
     """
@@ -142,7 +143,6 @@ class Problem:
     - `parameters`: the scene's parameters by name, each (families,); the values of `along` are unused.
     - `scales` (families, states): scales of the states.
     - `unit`, `first`, `last` (families, varied parameters): units and bounds of the varied parameters.
-    - `most_steps`: step limit between two section crossings, above which a motion counts as not returning.
     - `at_section`: whether an orbit is described by its states at the section.
     - `closes`: whether equal orbits have equal unknowns, so that a branch can be seen to be back where it began.
     - `noun`: word for a solution in notes; `weight`: factor of the scaled states among the unknowns.
@@ -162,11 +162,10 @@ class Problem:
     unit: Float[np.ndarray, "families varied"]
     first: Float[np.ndarray, "families varied"]
     last: Float[np.ndarray, "families varied"]
-    most_steps: float
 
     @cached_property
     def _map(self) -> Segments:
-        return Segments(self.scene, self.along, FAMILY_ACCURACY, self.most_steps)
+        return Segments(self.scene, self.along, FAMILY_ACCURACY)
 
     @property
     def rows(self) -> int:
@@ -302,6 +301,8 @@ class Problem:
         lanes, cycles, rows, _ = jacobian.shape
         off = (images.state - np.roll(self.states(family, u), -1, axis=1)) / self.scales[family][:, None]
         swing = (images.seen.greatest.max(axis=1) - images.seen.least.min(axis=1)) / (2 * self.scales[family])
+        changes = images.seen.mode_changes.sum(axis=1)
+        held = ~changes.any(axis=-1, keepdims=True)
         by_parameters = jacobian[..., rows:].reshape(lanes, cycles * rows, -1)
         return Points(
             family=family,
@@ -312,7 +313,7 @@ class Problem:
             times=np.where(images.seen.returned, images.time, np.inf),
             product=chain(jacobian[..., :rows]),
             impacts=images.seen.impacts.sum(axis=1),
-            mode_changes=images.seen.mode_changes.sum(axis=1),
+            mode_changes=changes + 0.5 * held * images.seen.modes[:, 0],
             margin=over_period(images.seen.margin)[:, 0],
             swing=swing.max(axis=1),
         )

@@ -25,8 +25,9 @@ from vibrojax.scenes.declared import Section, Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Goal, Lane, Step, Stepper, Varied, lane_at
 from vibrojax.threads import in_parallel
 
-MOST_STEPS = 4000.0
-"""Default limit of steps between two section crossings; the usual drill takes about fifty."""
+MOST_STEPS, MOST_FORCED_STEPS = 4000.0, 40_000.0
+"""Default limit of steps between two section crossings; the usual drill takes about fifty. Forced motions reach their
+section at a given time, with as many steps as the fastest part of the system needs."""
 
 
 Index = Int[np.ndarray, " segments"]
@@ -40,6 +41,7 @@ class ReturnEvents(NamedTuple):
 
     - `returned`: True if the section was reached; `impacts`: number of impacts; `steps`: number of steps.
     - `mode_changes` (modes, 3, lanes): numbers of changes of each mode to the values -1, 0 and 1.
+    - `modes` (modes, 3, lanes): 1 for the value of each mode at the beginning, else 0.
     - `margin` (rows, lanes): see `Margin.total`; of a return map `Margin.ends`, which `over_period` combines.
     - `least`, `greatest` (states, lanes): smallest and greatest values of the return map's states.
     """
@@ -48,6 +50,7 @@ class ReturnEvents(NamedTuple):
     impacts: Lanes
     steps: Lanes
     mode_changes: Array
+    modes: Array
     margin: Array
     least: Array
     greatest: Array
@@ -128,10 +131,12 @@ class ReturnLoop(NamedTuple):
         zero = jnp.zeros_like(state[0])
         none = jnp.zeros_like(zero, bool)
         own = jax.lax.stop_gradient(map_state(scene, lane))
-        changes = jnp.zeros((max(len(scene.modes), 1), 3, *zero.shape), zero.dtype)
+        none_yet = tuple(jnp.full_like(mode, jnp.nan) for mode in lane.mode)
+        modes = jnp.broadcast_to(_mode_changes(none_yet, lane.mode), (max(len(scene.modes), 1), 3, *zero.shape))
+        modes = modes.astype(zero.dtype)
         margin = self._margin(c)
         margins = margin.begin(zero, lane.mode)
-        seen = ReturnEvents(none, zero, zero, changes, margin.total(margins), own, own)
+        seen = ReturnEvents(none, zero, zero, jnp.zeros_like(modes), modes, margin.total(margins), own, own)
         return _Flight(lane, zero, none, margins, seen)
 
     def continues(self, flight: _Flight) -> Flags:
@@ -150,6 +155,7 @@ class ReturnLoop(NamedTuple):
             impacts=seen.impacts + _impacts(scene, c, step),
             steps=seen.steps + moving.astype(seen.steps.dtype),
             mode_changes=seen.mode_changes + _mode_changes(step.mode, lane.mode),
+            modes=seen.modes,
             margin=margin.total(margins),
             least=jnp.minimum(seen.least, own),
             greatest=jnp.maximum(seen.greatest, own),
@@ -190,7 +196,8 @@ class ReturnLoop(NamedTuple):
         return self.margin(c) if self.margin else Margin(self.scene, self.scene.section, c, False)
 
     def _moving(self, flight: _Flight) -> Flags:
-        return ~flight.seen.returned & (flight.seen.steps < self.most_steps) & jnp.isfinite(flight.lane.state[0])
+        most = self.most_steps if self.scene.autonomous else MOST_FORCED_STEPS
+        return ~flight.seen.returned & (flight.seen.steps < most) & jnp.isfinite(flight.lane.state[0])
 
 
 def map_state(scene: Scene[Any], lane: Lane) -> Array:

@@ -105,6 +105,14 @@ class Segment:
         begin = self.family, self.branch, self.direction, beyond, STEP_AFTER_CORNER, self.number + 1
         return Segment(*begin, self.home, self, doubled, self.origin)
 
+    def drop(self, kind: str, at: Points, but: str) -> None:
+        """Remove special points of a kind at an orbit, except those with the note `but`."""
+
+        def same(m: Mark) -> bool:
+            return m.kind == kind and m.orbit.u.shape == at.u.shape and np.abs(m.orbit.u - at.u).max() < SAME_POINT
+
+        self.marks = [m for m in self.marks if m.note == but or not same(m)]
+
     def mark(self, kind: str, note: str, event: str = "") -> None:
         """Add a special point at the segment's end; an existing one of the same kind there gets the note instead."""
         end = self.points.of([-1])

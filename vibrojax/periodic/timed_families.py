@@ -157,7 +157,7 @@ def returning_orbit(section: Problem, timed: TimedProblem, u: np.ndarray) -> Orb
 
 def _mesh(problem: Problem, parameters: Mapping[str, PerLane], begin: States, period: PerLane) -> tuple[int, States]:
     """Return the number of parts in which no distance grows by more than `GROWTH`, and the scales of the states."""
-    flow = Segments(problem.scene, problem.along, FAMILY_ACCURACY, problem.most_steps, flowed)
+    flow = Segments(problem.scene, problem.along, FAMILY_ACCURACY, program=flowed)
     rows = begin.shape[1]
     parts = LEAST_PARTS
     while True:

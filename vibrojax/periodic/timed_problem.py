@@ -47,7 +47,7 @@ class TimedProblem(Problem):
 
     @cached_property
     def flow(self) -> Segments:
-        return Segments(self.scene, self.along, FAMILY_ACCURACY, self.most_steps, flowed)
+        return Segments(self.scene, self.along, FAMILY_ACCURACY, program=flowed)
 
     def cycles(self, u: Unknowns) -> int:
         """Return the number of parts."""
@@ -68,7 +68,7 @@ class TimedProblem(Problem):
         every[families], unit[families] = scales, period
         return cls(
             scene=problem.scene, along=problem.along, parameters=problem.parameters, scales=every, unit=problem.unit,
-            first=problem.first, last=problem.last, most_steps=problem.most_steps, period_unit=unit, parts=parts,
+            first=problem.first, last=problem.last, period_unit=unit, parts=parts,
             # In the plane, orbits do not cross.
             impossible=("period-doubling", "torus") if scales.shape[1] == 2 else (),
         )  # fmt: skip

@@ -351,7 +351,6 @@ def find_links(
                 distance = float(np.abs(own.statistics - beside.statistics).max())
                 if distance <= np.log(SIMILAR_FACTOR):
                     links[min(index, other), max(index, other)] = distance
-    most = max((motion.orbit.most_steps for motion in motions if motion.orbit is not None), default=0.0)
     for same_cycles in carried.values():
         orbits, cells = Orbits.joined(same_cycles.values()), np.array([cell for _, cell in same_cycles])
         final, arrived = orbits.carry_to(
@@ -361,7 +360,7 @@ def find_links(
             least=MATCHING_MIN_STEP,
             accept=lambda orbits: orbits.stable,
             scales=orbits.scales,
-            go=Segments(scene, most=most),
+            go=Segments(scene),
         )
         for k, (index, cell) in enumerate(same_cycles):
             for other in in_cell[cell] if arrived[k] else ():

@@ -74,14 +74,12 @@ class OrbitGrid:
 
     - `names`, `values`: names and values of the planes' two axes.
     - `parameters`: all parameters of the scene by name, each (planes, xs, ys).
-    - `most_steps`: step limit between two section crossings.
     """
 
     scene: Scene[Any]
     names: tuple[str, str]
     values: tuple[np.ndarray, np.ndarray]
     parameters: Mapping[str, Float[np.ndarray, "planes xs ys"]]
-    most_steps: float
     orbits: dict[Cell, list[GridOrbit]] = field(default_factory=dict)
 
     def find(self, cell: Cell, state: np.ndarray) -> GridOrbit | None:
@@ -123,7 +121,6 @@ class OrbitGrid:
             unit=(last - first) / EDGE_LENGTH,
             first=first,
             last=last,
-            most_steps=self.most_steps,
         )
         new, ends = [], _continue_edges(problem, np.array([orbit.state for orbit, _, _ in edges]), begin, end)
         for (orbit, step, cell), kind, value, state in zip(edges, *ends, strict=True):

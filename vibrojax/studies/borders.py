@@ -148,7 +148,7 @@ class Regions:
         known = orbits_of(scene, dataset, lanes)
         points = {name: x.reshape(shape)[..., 0] for name, x in lanes.items()}
         axes = sweep.axes[names[0]], sweep.axes[names[1]]
-        self._grid = OrbitGrid(scene, names, axes, points, max((orbits.most_steps for orbits in known), default=0.0))
+        self._grid = OrbitGrid(scene, names, axes, points)
         self._regime = dataset["regime"].values.reshape(shape)
         settled = (self._regime == SINGLE_IMPACT) & (dataset["stable"].values.reshape(shape) == 1)
         self._continued = ContinuedBorders(self._grid)

@@ -24,7 +24,7 @@ from vibrojax.periodic.curve_following import Curve, crossings, follow_curves
 from vibrojax.periodic.event_map import conditions_of
 from vibrojax.periodic.orbits import Orbits
 from vibrojax.periodic.problem import CORRECTOR_RESIDUAL, FAMILY_ACCURACY, UNITS_PER_SPAN, check_changes_orbits
-from vibrojax.periodic.return_map import MOST_STEPS, Segments
+from vibrojax.periodic.return_map import Segments
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import Parameter
 from vibrojax.pictures.branches import (
@@ -276,13 +276,13 @@ def problem_through(
     # The program of the curves serves here, too: another one would have to be compiled.
     go = Segments(scene, (first, second), FAMILY_ACCURACY)
     cycles = np.array([number for number, _ in orbits])
-    states, scales, most_steps = [state[None] for _, state in orbits], np.ones((count, len(scene.return_states))), 0.0
+    states, scales = [state[None] for _, state in orbits], np.ones((count, len(scene.return_states)))
     moving = kinds != "hopf"  # an equilibrium does not return to the section
     for repeat in np.unique(cycles[moving]).tolist():
         index = np.flatnonzero(moving & (cycles == repeat))
         own = {name: x[index] for name, x in parameters.items()}
         traced = Orbits.trace(scene, own, np.array([orbits[k][1] for k in index]), repeat, go)
-        scales[index], most_steps = traced.scales, max(most_steps, traced.most_steps)
+        scales[index] = traced.scales
         for k, whole in zip(index.tolist(), traced.states, strict=True):
             states[k] = whole
     none = np.zeros((count, len(conditions_of(scene))))
@@ -294,7 +294,6 @@ def problem_through(
         unit=np.tile(np.diff(limits).T / UNITS_PER_SPAN, (count, 1)),
         first=np.tile(limits[:, 0], (count, 1)),
         last=np.tile(limits[:, 1], (count, 1)),
-        most_steps=most_steps or float(MOST_STEPS),
         kinds=kinds,
         chosen=none,
     )

@@ -21,7 +21,7 @@ from vibrojax.periodic.hopf import orbit_at_hopf
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.periodic.problem import UNITS_PER_SPAN, Points, Problem, towards
-from vibrojax.periodic.return_map import MOST_STEPS, Segments
+from vibrojax.periodic.return_map import Segments
 from vibrojax.periodic.segments import Mark
 from vibrojax.periodic.timed_families import TimedContinuation, at_section, free_problem, returning_orbit, through
 from vibrojax.periodic.timed_problem import TimedProblem, has_free_phase
@@ -137,7 +137,6 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
         unit=unit,
         first=low,
         last=high,
-        most_steps=MOST_STEPS,
     )
     if spec.cycles == 0:
         return _equilibria(spec, section, None)
