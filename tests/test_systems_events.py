@@ -79,9 +79,9 @@ def test_stiff_contact_beyond_a_clearance():
 
 
 def test_steep_regularised_friction_from_speeds_at_which_it_is_flat():
-    """A mass slows down for 1 s from 1.5 to the speed 0.5 of a belt, and then moves with it."""
-    rubs = mass(lambda t, y, p: -E.tanh(1e7 * (y["v"] - 0.5)), period=10.0)
-    assert ends(rubs, [0.0, 1.5], 3.0, error=1e-8) == pytest.approx([2.0, 0.5], abs=1e-7)
+    """A mass slows down for 1 s from 1.5 to the speed 0.5 of a belt, which it then keeps."""
+    rubs = mass(lambda t, y, p: -E.tanh(1e6 * (y["v"] - 0.5)), period=10.0)
+    assert ends(rubs, [0.0, 1.5], 1.1, error=1e-8) == pytest.approx([1.05, 0.5], abs=1e-7)
 
 
 def test_rate_where_the_zero_state_has_no_derivative():

@@ -110,7 +110,9 @@ class Margin:
             f = function.arrays(len(step.polynomials[0]) - 1, step.dt)
             margins = switches if guard.is_switch else others
             hit = self.considered(guard.name, "hit", _at_hit(f, step, step.hits[guard.name], scale * pace))
-            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, constant * scale, fresh))
+            # Other guards, as those of kinks, are constant in modes that they do not concern.
+            slow = constant if guard.is_switch or guard.name in self.scene.stops else -1.0
+            miss = self.considered(guard.name, "miss", _near_miss(f, step, scale, slow * scale, fresh))
             if guard.name in before:
                 bounces, rests = step.hits[guard.name] & ~before[guard.name], after[guard.name] & ~before[guard.name]
                 slower = bounces & (hit < last)
