@@ -70,7 +70,7 @@ def end_at_jumps(problem: Problem, changes: Brackets) -> Brackets:
     """Return located changes of events; where the map jumps, `ends` is set and `near` is the last orbit of its side."""
     near, ends = changes.near.of(np.arange(len(changes.place))), changes.ends.copy()
     apart = np.abs(changes.far.u - changes.near.u).max(axis=1, initial=0.0)
-    for k in np.flatnonzero(apart > ACCEPTED_WITHIN).tolist():
+    for k in np.flatnonzero((apart > ACCEPTED_WITHIN) & problem.scene.may_jump).tolist():
         sides = ((changes.near.of([k]), apart[k]), (changes.far.of([k]), -apart[k]))
         first, second = (_to_last_orbit(problem, side, step) for side, step in sides)
         off = np.abs(_at_no_margin(first) - _at_no_margin(second)).max()

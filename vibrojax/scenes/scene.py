@@ -153,6 +153,11 @@ class Scene(ABC, Generic[C]):
         """Names of the rigid stops, at which a velocity jumps."""
         return ()
 
+    @property
+    def may_jump(self) -> bool:
+        """True if the return map may jump where an event begins, as at static friction; at stops, it is continuous."""
+        return bool(self.switch_places)
+
     def across_impacts(self, c: C, state: Values) -> list[tuple[Any, Values]]:
         """Return, for each rigid stop, the gap over a typical gap, and the state on the other side of the impact.
 

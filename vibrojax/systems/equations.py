@@ -224,6 +224,10 @@ class SystemEquations(Scene[SystemConstants]):
     def stops(self) -> tuple[str, ...]:
         return tuple(event.name for _, event in self._flow.of(Impact) if event.velocity is not None)
 
+    @property
+    def may_jump(self) -> bool:
+        return bool(self.switch_places or self._flow.resets)
+
     def across_impacts(self, c: SystemConstants, state: Values) -> list[tuple[Any, Values]]:
         (t, y), flow = self._known(state), self._flow
         mode = free_modes(flow, c, t, y, 0.0 * state[0])
