@@ -54,6 +54,7 @@ USES = ("no-lane", "fitted", "censored", "left-out", "above-founder")
 NO_VALUES = "without values, or with a negative rate"
 _FOR_LAW = frozenset((*known.LAW, WEIGHT, known.ROTATION_SPEED))  # faults in other columns do not stop a fit
 _SAME = 1e-6  # relative difference of thresholds of a group that are one
+_LISTED = 8  # variables of a dataset that a message lists
 _KEPT = (
     *("scene", "sweep", "parameters", "columns"),
     *("dialect", "dropped", "rows_read", "notes", "reference_force"),
@@ -297,7 +298,8 @@ def _lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
     """
     for name in (RATE, RELIEF):
         if name not in data:
-            names = ", ".join(str(name) for name in data.data_vars) or "nothing"
+            held = list(map(str, data.data_vars))
+            names = ", ".join(held[:_LISTED]) + ", ..." * (len(held) > _LISTED) or "nothing"
             raise place.at(name).error(f"missing; a sweep of a scene with rock has it, this holds {names}")
         if data[name].dtype.kind not in "fiu":
             raise place.at(name).error("does not hold numbers; the data of a sweep are needed")
