@@ -69,7 +69,7 @@ def test_more_trajectories_of_random_systems(seed):
 @pytest.mark.parametrize("seed", [301, 302, 304, 305, 309])
 def test_families_of_random_systems(seed):
     """States, impacts and multipliers along a parameter, and stability that changes at special points only."""
-    compared, found = faults(*family_of(seed, 0))
+    compared, found = faults(*family_of(seed, 0), points=6)  # those at grazes are doubtful
     assert found == [] and compared >= 3
 
 

@@ -79,7 +79,8 @@ def with_events(motion: xr.Dataset) -> tuple[Samples, dict[str, xr.DataArray]]:
     section crossing, they are interpolated from up to two samples on each side. If events lie between the same two
     samples, the values are those before the first and after the last of them.
     """
-    time, data = motion[_TIME].values, {str(n): x for n, x in motion.data_vars.items() if x.dims == (_TIME,)}
+    time = np.asarray(motion[_TIME].values, float)
+    data = {str(n): x for n, x in motion.data_vars.items() if x.dims == (_TIME,)}
     data = {name: x for name, x in data.items() if x.dtype.kind == "f"}
     moments = motion["event_time"].values if "event_time" in motion else np.zeros(0)
     jumps = moments[~_are(motion, "section")]

@@ -150,7 +150,7 @@ def number(value: float, digits: int = 5) -> str:
     return ("0" if text == "-0" else text).replace("-", "−")
 
 
-def value_text(data: xr.DataArray, value: float | str | np.number | np.str_) -> str:
+def value_text(data: xr.DataArray, value: float | int | str | np.number | np.str_) -> str:
     """Format a value of the coordinate `data`: `Δ = −5 mm` for a number, `start: drive` for a string."""
     if not np.issubdtype(np.asarray(value).dtype, np.number):
         return f"{data.name!s}: {short(str(value))}"
