@@ -31,10 +31,6 @@ from vibrojax.settings.run_settings import RunSettings
 from vibrojax.stepping import Accuracy
 from vibrojax.threads import by_drivers
 
-CHECK_MIN_SECONDS = 250_000
-"""Observed seconds, summed over all lanes, below which check runs share the program of the main run: compiling one of
-their own takes half a second of processor time, and saves 2 µs per observed second. The results have the same bits."""
-
 
 class FirstHalf(NamedTuple):
     """Lanes after the steps that main run and check run share.
@@ -65,7 +61,6 @@ class LaneRun:
         recorder = recorder_for(self.scene, self.settings.keep_returns)
         names = inputs.start_names
         self.engine = Engine(self.scene, self.settings, names, self.stepper, recorder, workers())
-        self.engine.programs.compiles_check &= plan.lanes * self.settings.observe >= CHECK_MIN_SECONDS
         self._compiled = False
 
     def compile(self, inputs: LaneInputs) -> None:
