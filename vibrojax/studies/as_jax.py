@@ -155,13 +155,11 @@ class Branch:
         return Evaluated(values, derivatives, valid & np.isfinite(derivatives).all(axis=(1, 2)), reached)
 
     def _compile(self) -> None:
-        """Compile the programs of derivatives, which no orbit needs, while the first one is found."""
+        """Compile the programs of derivatives, while the first orbit is sought, which does not need them."""
         scene, none = self.point.system, np.zeros(0)
-        states = np.zeros((0, len(scene.driving_part().return_states)))
+        states, every = np.zeros((0, len(scene.driving_part().return_states))), dict.fromkeys(scene.parameters(), none)
         with suppress(Exception):  # it is raised again where a result is needed
-            differentiated(
-                scene, self.of, self.by, dict.fromkeys(scene.parameters(), none), states[:, None], states, none
-            )
+            differentiated(scene, self.of, self.by, every, states[:, None], states, none)
 
     def _parameters(self, x: Points) -> dict[str, np.ndarray]:
         fixed = {name: np.full(len(x), value) for name, value in self.point.parameters.items()}

@@ -313,8 +313,7 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
                 index = np.where(np.isnan(x), -np.inf, sign * x).argmax(axis=0)
                 table[f"{name}_{word}"] = rest, reduce(x, axis=0)
                 table[f"{name}_{word}_sample"] = rest, np.where(np.isnan(x).all(axis=0), -1, index)
-        names = [str(name) for name in ds]
-        ds = ds.assign(described(table, tolerance_variables(names))).assign_coords(label=list(REGIMES))
+        ds = ds.assign(described(table, tolerance_variables([*map(str, ds)]))).assign_coords(label=list(REGIMES))
         for name, word in product(QUANTITIES, _WORDS):
             if name in ds:  # an own system may measure it in another unit
                 ds[f"{name}_{word}"].attrs["units"] = ds[name].attrs["units"]
@@ -326,8 +325,7 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
 
     def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
         """Return the samples as points of a sweep, with their variables; None for a system without a name."""
-        names = [name for name in ds.data_vars if "sample" in ds[name].dims]
-        points = ds[names].rename(sample=POINT)
+        points = ds[[name for name in ds.data_vars if "sample" in ds[name].dims]].rename(sample=POINT)
         points.attrs.pop(IDENTITY, None)  # it states the box, which the sweep does not have
         try:
             return points, sweep_of_dataset(points, orbits=False)

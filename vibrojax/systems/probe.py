@@ -13,8 +13,7 @@ from vibrojax.errors import CANNOT_EXPAND, NOT_KNOWN_YET, InputError, asked, sho
 from vibrojax.lazy import jax
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
-from vibrojax.physics.parameters import Parameter
-from vibrojax.physics.units import is_drawn_unit
+from vibrojax.systems.declared_parameters import UNIT_EXAMPLES, is_unit, parameter_of
 from vibrojax.systems.events import KINDS_OF_POINTS, Event, Friction, Impact, Switch, required_arguments
 from vibrojax.systems.kinks import tried
 from vibrojax.systems.numbers import Dual, Plain, equal
@@ -33,8 +32,6 @@ ARGUMENTS = ("scene", "duration", "method", "solver", "step", "smoothing", "erro
 
 RENAMED = ("periodic", "impact-free", "single-impact", "multi-impact", "subharmonic", "irregular", "equilibrium")
 """Regimes that may have names of the system's own."""
-
-_UNIT_EXAMPLES = "give one such as 'm s-1', 'rad', 'deg', 'N m', or '1'"
 
 REPEATED, ROUNDED = 1e-9, 1e-13
 """Differences that a function may have after a period, relative to its changes in time and to its value."""
@@ -83,7 +80,7 @@ class Probe:
         self._discrete = dict(modes or {})
         self._check_names(states, parameters)
         laws = [event for event in self._events if isinstance(event, Friction)]
-        self.parameters = {key: _parameter(key, x, self._refuse) for key, x in parameters.items()}
+        self.parameters = {key: parameter_of(key, x, self._refuse) for key, x in parameters.items()}
         for event in laws:
             self.parameters |= {key: x for key, x in event.parameters.items() if key not in self.parameters}
         self.takes_sides = self._takes_sides()
@@ -129,8 +126,8 @@ class Probe:
             if event.name in KINDS_OF_POINTS:
                 raise self._refuse(f"event {event.name}: that is a kind of special points; choose another name")
         for key, unit in states.items():
-            if not _is_unit(unit):
-                raise self._refuse(f"states: {key} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
+            if not is_unit(unit):
+                raise self._refuse(f"states: {key} has the unit {shown(unit)}; {UNIT_EXAMPLES}")
         groups = {"state": [*states, *self._discrete], "parameter": [*parameters]}
         groups["event"] = [event.name for event in self._events]
         names = [(key, kind) for kind, group in groups.items() for key in group]
@@ -445,28 +442,3 @@ def _normal(event: Event) -> tuple[str, Any]:
 def _is_level(section: tuple[Any, ...]) -> bool:
     """Return whether a section is a pair of a state and a finite number."""
     return len(section) == 2 and isinstance(section[1], int | float) and math.isfinite(section[1])
-
-
-def _is_unit(unit: object) -> bool:
-    return isinstance(unit, str) and is_drawn_unit(unit)
-
-
-def _parameter(name: str, value: Any, refuse: Callable[[str], InputError]) -> Parameter:
-    if isinstance(value, Parameter):
-        if value.name != name:
-            raise refuse(f"parameter {name} is declared as {shown(value.name)}; use one name")
-        return value
-    unit: Any = "1"
-    if isinstance(value, tuple | list) and len(value) == 2:
-        value, unit = value
-        if not _is_unit(unit):
-            raise refuse(f"parameter {name} has the unit {shown(unit)}; {_UNIT_EXAMPLES}")
-    check_untraced(lambda problem: refuse(f"parameter {name} {problem}"), value)
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float | np.number | jax.Array)
-        or not math.isfinite(value)
-    ):
-        example = "give a finite number, a pair such as (0.5, 'rad s-2'), or an entry of vj.parameters"
-        raise refuse(f"parameter {name} is {shown(value)}; {example}")
-    return Parameter(name, float(value), unit, name, name)
