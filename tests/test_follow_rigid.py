@@ -304,7 +304,6 @@ def test_branch_ends_where_greater_static_friction_makes_the_motion_jump(at, sti
     assert special_values(family, "stick")[-1 if sticks else 0] == end.special_value
 
 
-@pytest.mark.long
 def test_rub_of_a_rotor_begins_all_along_its_circle():
     """A rotor z whirls on a circle; outside the radius d, a stator pushes it back and rubs. Where the circle without
     contact has the radius d, the side of the stator changes along the whole orbit at once. The response leans over, so
