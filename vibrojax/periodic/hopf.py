@@ -58,7 +58,7 @@ def hopf_point(problem: Problem, points: Points) -> Points | None:
     last, scene = points.of([-1]), problem.scene
     if scene.section is None or last.times.shape[1] > 1 or not np.isfinite(last.times).all():
         return None
-    if (last.signature >= 1).any():
+    if (last.signature >= 1).any():  # an event; a side that never changes counts 1/2
         return None
     family, [along] = last.family, problem.along
     extrapolated = _extrapolated(problem, points)
