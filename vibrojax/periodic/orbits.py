@@ -56,8 +56,8 @@ MIN_RELATIVE_SWING = 1e-3
 NEWTON_MAX_ITERATIONS = 8
 
 KINK_STEP, MOST_KINK = 1e-6, 1e-3
-"""Scaled change of the states to both sides of an orbit on which two events happen at one instant, and the difference of
-the slopes there from which on the map has no derivative: each order of the events then has a slope of its own."""
+"""Scaled change of the states to both sides of an orbit on which two events happen at one instant, and the difference
+of the slopes there from which on the map has no derivative: each order of the events then has a slope of its own."""
 
 SAME_STATE = 1e-6
 """Scaled distance (in units of the states' scales) within which two states of an orbit count as equal."""
