@@ -109,9 +109,14 @@ MISTAKES = {
     "law is nan": {"events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": np.nan})]},
     "that is a kind of special points": {"events": [vj.Switch("fold", lambda t, y, p: y["x"])]},
     "either velocity=": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"])]},
-    "belt: law fails with TypeError": {
+    "law takes other arguments; write law(p), or a vj.FrictionLaw": {
         "events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": lambda u, p: 0.2})]
     },
+    "gap takes other arguments; write gap(t, y, p)": {"events": [vj.Impact("stop", lambda y: y["x"], "v")]},
+    "static is 0.1, below 0.2": {"events": [vj.Friction("belt", lambda t, y, p: y["v"], static=0.1, **RUB)]},
+    "asks for sign; vj.elementary has absolute": {"field": lambda t, y, p: {"x": vj.elementary.sign(y["v"])}},
+    "is the name of two events": {"events": [vj.Impact("stop", lambda t, y, p: y["x"], "v")] * 2},
+    'period is "2*pi"; write a number': {"section": None, "period": "2*pi"},
     "reset, x, gave NoneType": {
         "events": [vj.Impact("gate", lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"x": None})]
     },
@@ -181,6 +186,13 @@ def test_trajectory_that_grows_without_bound_warns():
     grows = vj.System("grows", states={"x": "m", "v": "m s-1"}, parameters={"a": 1.0}, field=field, section="v")
     with pytest.warns(UserWarning, match=r"grows is not finite after t = (0\.99|1 s)"):
         vj.simulate(grows, start=[1.0, 2.0], duration=2.0, progress=False)
+
+
+def test_powers_of_states():
+    """x' = -x³ from -1 is -1/√(1 + 2t), also with 3.0 for 3; x' = -x^1.5 from 1 is (1 + t/2)⁻²."""
+    field = lambda t, y, p: {"x": -(y["x"] ** 3.0), "y": -(y["y"] ** p["n"])}
+    powers = vj.System("powers", states={"x": "m", "y": "m"}, parameters={"n": 1.5}, field=field)
+    assert ends(powers, [-1.0, 1.0], 2.0) == pytest.approx([-(5**-0.5), 0.25], abs=1e-7)
 
 
 def test_start_is_on_a_stop_or_refused():

@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import traceback
 import unicodedata
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -27,6 +28,10 @@ _PLAIN_VALUE = re.compile(r"[A-Za-z0-9 _().,/%+:-]*")
 NOT_KNOWN_YET = "uses a function of np on a value that is not known yet; use vj.elementary"
 
 CANNOT_EXPAND = "uses a function that steps cannot expand; use + - * / ** and vj.elementary, not jnp, np or math"
+
+
+_ARGUMENTS = {1: "p", 2: "speed, p", 3: "t, y, p", 4: "t, y, p, s"}
+"""Arguments of functions of users by their number."""
 
 
 class InputError(ValueError):
@@ -146,7 +151,16 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any, known: Itera
     except InputError:
         raise
     except Exception as error:
-        raise InputError(f"{what} {problem_of(error, known)}") from error
+        problem = problem_of(error, known)
+        if isinstance(error, TypeError) and "positional argument" in problem and _called_by_us(error):
+            problem = f"takes other arguments; write {what.rpartition(' ')[2]}({_ARGUMENTS[len(arguments)]})"
+        raise InputError(f"{what} {problem}") from error
+
+
+def _called_by_us(error: Exception) -> bool:
+    """Return whether an exception comes from a call that the package made, not one within a function of a user."""
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    return str(frame.f_globals.get("__name__", "")).startswith("vibrojax.")
 
 
 def number_of(what: str, value: Any) -> Any:
@@ -162,9 +176,12 @@ def problem_of(error: Exception, known: Iterable[str] = ()) -> str:
     if isinstance(error, KeyError):
         return f"asks for {error.args[0]!r}; there is {', '.join(known) or 'no such name'}"
     if "truth value" in text or "not supported between instances of" in text or "boolean conversion" in text:
-        return "decides by a value (if, max or min); use vj.elementary.maximum and minimum"
+        return "decides by a value (if, max, min or where); use vj.elementary.maximum and minimum, or a vj.Switch"
     if "boolean" in text and "operator" in text:
         return "calculates with a comparison; put a vj.Switch on it, and calculate with its side, which is 1 or -1"
+    module: Any = getattr(error, "obj", None)
+    if isinstance(error, AttributeError) and getattr(module, "__name__", "").endswith(".elementary"):
+        return f"asks for {error.name}; vj.elementary has {', '.join(module.__all__)}"
     if "__array__()" in text:
         return NOT_KNOWN_YET
     if any(part in text for part in ("__array_ufunc__", "scalar", "must be real number", "Series'")):

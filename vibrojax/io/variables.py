@@ -209,9 +209,6 @@ VARIABLES: dict[str, Variable] = {
     ),
     "nature": Variable("1", "kind of motion according to its largest Lyapunov exponent", np.int8, NATURES),
     "return_time": Variable("s", "time of the return", along="return_index"),
-    "return_x1": Variable("m", "position of the bit at the return", along="return_index"),
-    "return_x2": Variable("m", "position of the striker at the return", along="return_index"),
-    "return_v2": Variable("m s-1", "velocity of the striker at the return", along="return_index"),
     "return_impacts": Variable("1", "impacts since the previous return", along="return_index"),
     "return_impact_velocity": Variable("m s-1", "impact velocity at the return", along="return_index"),
 }

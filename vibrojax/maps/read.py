@@ -171,7 +171,8 @@ def check_run(place: Place, sweep: Sweep) -> None:
             )
         if sweep.starts is not None and len(sweep.starts) != 1:
             raise place_of_carry.error(
-                f'{len(sweep.starts)} starts; the first lane in each direction has one: write starts = ["stuck"]'
+                f"{len(sweep.starts)} starts; the first lane in each direction has one: "
+                f"write starts = {shown([sweep.starts[0]])}"
             )
     useless = f"true has no use in {sweep.scene}"
     if sweep.run.orbits and not sweep.system.driving_part().return_states:

@@ -118,6 +118,8 @@ def read_starts(place: Place, value: object, names: Names) -> Starts | None:
         raise place.error(
             f"{shown(value)} is not a list of starts; write one like {example}, a sample of a box or a plane"
         )
+    if not any(isinstance(item, str | list | tuple | dict) for item in value) and states:
+        raise place.error(f"{shown(value)} are numbers; write one list for each start: [[{', '.join(states)}]]")
     starts = [names.start(place.item(index), item) for index, item in enumerate(value)]
     check_distinct(place, starts, "start")
     return list_of(starts, states)

@@ -16,7 +16,27 @@ from contextvars import ContextVar
 from functools import singledispatch
 from typing import Any
 
+import numpy as np
+
 from vibrojax.lazy import jnp
+
+__all__ = [
+    "absolute",
+    "arctan",
+    "cos",
+    "exp",
+    "floor",
+    "log",
+    "maximum",
+    "minimum",
+    "power",
+    "sawtooth",
+    "sin",
+    "sqrt",
+    "square",
+    "tanh",
+]
+"""The functions for equations of users."""
 
 
 def _generic(name: str, meaning: str) -> Any:
@@ -145,13 +165,14 @@ def square(x: Any) -> Any:
 
 
 def integer_power(x: Any, exponent: Any) -> Any:
-    """Return `x**exponent` for number types other than arrays; if the exponent is natural, `x` may have any sign."""
+    """Return `x**exponent` for number types other than arrays; if the exponent is whole, `x` may have any sign."""
+    if not isinstance(exponent, int | float | np.number) or exponent != int(exponent):
+        return power(x, exponent)
+    exponent = int(exponent)
     if exponent == 1:
         return x
-    if isinstance(exponent, int) and exponent >= 2:
+    if exponent >= 2:
         half = integer_power(x, exponent // 2)
         square = half * half
         return square * x if exponent % 2 else square
-    if isinstance(exponent, int) and exponent < 0:
-        return 1.0 / integer_power(x, -exponent)
-    return power(x, exponent)
+    return 1.0 / integer_power(x, -exponent) if exponent else 0.0 * x + 1.0

@@ -37,7 +37,7 @@ _PREFIXED = {
 # The parameters that every note lists, besides those that differ from their defaults.
 _LISTED = "beta", "gamma", "v", "delta", "force", "bias", "frequency", "pulse_width", "threshold", "k3", "zeta"
 
-_MOST_OWN = 8  # parameters of a user's own system that a note lists
+_MOST_OWN = 12  # parameters of a user's own system that a note lists
 _USUAL_FRICTION = "stribeck"  # notes omit this friction law
 
 
@@ -199,7 +199,8 @@ def point_text(ds: xr.Dataset) -> str:
     records = {name: (about[name].symbol, about[name].unit, values[name]) for name in listed}
     if scene is None:  # of the user's own
         units = parameter_units_of(ds)
-        records = {printable(x, 40): (printable(x, 40), units.get(x, ""), values[x]) for x in [*values][:_MOST_OWN]}
+        shown = [name for name in values if name not in known]
+        records = {printable(x, 40): (printable(x, 40), units.get(x, ""), values[x]) for x in shown[:_MOST_OWN]}
     for x in differing_of(ds):
         records.setdefault(x["name"], (printable(x["symbol"], 40), printable(x["units"], 40), x["value"]))
     for name, (sign, unit, value) in records.items():

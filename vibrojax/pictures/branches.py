@@ -9,11 +9,13 @@ import xarray as xr
 from jaxtyping import Int
 
 from vibrojax.errors import InputError, shown
+from vibrojax.io.attributes import text_of
 from vibrojax.io.kinds import SPECIAL_KINDS
 from vibrojax.pictures.axes import scale, value_text, values_along
 from vibrojax.pictures.contents import is_numeric, some_of
 from vibrojax.pictures.plots import INK, Dash, Layer, Line, Look, dots, key
 from vibrojax.pictures.style import BIT, line_colours, other_colour
+from vibrojax.scenes import SCENES
 
 STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 
@@ -238,11 +240,11 @@ def distinguishing_coords(ds: xr.Dataset) -> list[str]:
 def _shown_names(ds: xr.Dataset, branch: Branch, name: str) -> tuple[str, ...]:
     """Return the names of the variables that are drawn for `name` along a branch.
 
-    If a period has several return intervals with one impact each, they are `name`_min and `name`_max (over the impacts
-    of a period), provided that the dataset contains both. Otherwise, it is `name` itself.
+    If a period has several return intervals with at most one impact each, they are `name`_min and `name`_max (over the
+    impacts of a period), provided that the dataset contains both. Otherwise, it is `name` itself.
     """
     ends = f"{name}_min", f"{name}_max"
-    several = branch.cycles > 1 and "impacts" in ds and ds["impacts"].values[branch.points[0]] == branch.cycles
+    several = "impacts" in ds and 1 < ds["impacts"].values[branch.points[0]] <= branch.cycles
     return ends if several and all(end in ds for end in ends) else (name,)
 
 
@@ -290,7 +292,7 @@ def family_layers(
             for point, place in zip(branch.special, special, strict=True):
                 if low <= along[place] <= high and np.isfinite(heights[place]):
                     mark = _mark(kinds[point], 0.7 if thin or branch.number else 1.0)
-                    mark["label"] = kind_label(kinds[point]) if over_dots else ""
+                    mark["label"] = kind_label(ds, kinds[point]) if over_dots else ""
                     layers.append(dots([along[place]], [heights[place]], order=5.0, **mark))
     return layers
 
@@ -355,13 +357,14 @@ def special_keys(ds: xr.Dataset) -> list[Line]:
     """Return the legend entries for the kinds of special points that occur, with their counts."""
     names = kind_names(ds)
     kinds = [*(kind for kind in MARKS if kind in names), *dict.fromkeys(name for name in names if name not in MARKS)]
-    return [dots(label=f"{kind_label(kind)}  {names.count(kind)}", **_mark(kind, 1.0)) for kind in kinds]
+    return [dots(label=f"{kind_label(ds, kind)}  {names.count(kind)}", **_mark(kind, 1.0)) for kind in kinds]
 
 
-def kind_label(kind: str) -> str:
+def kind_label(ds: xr.Dataset, kind: str) -> str:
     """Return a kind of special point or border, with words on what happens there if its name does not say it."""
     name = "Hopf" if kind == "hopf" else kind
-    return f"{name} ({_WORDS[kind]})" if kind in _WORDS else name
+    says_it = kind not in _WORDS or (kind == "section" and text_of(ds, "scene") not in SCENES)
+    return name if says_it else f"{name} ({_WORDS[kind]})"
 
 
 def ranges_text(ds: xr.Dataset, names: Sequence[str]) -> str:

@@ -193,7 +193,7 @@ def curve_layers(ds: xr.Dataset, mask: np.ndarray, x: str, y: str) -> list[Layer
     for curve in np.flatnonzero(mask & np.isin(np.arange(len(mask)), number)):
         kind = names[int(ds["kind"][curve])]
         across, up = (f * ds[name].values[number == curve] for name, f in zip((x, y), factors, strict=True))
-        layers.append(Line(across, up, width=1.6, halo=0.6, label=branches.kind_label(kind), **LINES.get(kind, {})))
+        layers.append(Line(across, up, width=1.6, halo=0.6, label=branches.kind_label(ds, kind), **LINES.get(kind, {})))
     return layers
 
 

@@ -171,7 +171,7 @@ class Names:
         if name in _DERIVED and _DERIVED[name][0] in self.writable:
             return f"is not a parameter: {_DERIVED[name][1]}"
         if name in RunSettings.__dataclass_fields__:
-            return f'is not a parameter; it belongs in [run], in Python run={{"{name}": ...}}'
+            return f'is a setting of sweeps; it belongs in [run], in Python "run": {{"{name}": ...}}'
         if name in (*TOP_KEYS, "points"):
             return "is not a parameter; it belongs at the top of a sweep file"
         if not hint and not isinstance(self.system, System) and (elsewhere := self._meaning_elsewhere(name)):

@@ -15,8 +15,8 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex, to_rgb
 from vibrojax.errors import InputError, counted
 from vibrojax.io.attributes import flags, parameters_of
 from vibrojax.io.kinds import OF_ATTRACTORS
-from vibrojax.io.variables import VARIABLES, described
-from vibrojax.lanes.labels import measured_besides, of_orbits
+from vibrojax.io.variables import described
+from vibrojax.lanes.labels import of_orbits, variables_of
 from vibrojax.maps.rerun import sweep_with_orbits
 from vibrojax.maps.run import run_sweep
 from vibrojax.maps.starts import DEFAULT_STARTS, list_of
@@ -383,7 +383,7 @@ class Attractors(SweepAnalysis):
             data["named_attractor"] = (*dims, NAMED), of_lane[..., starts:]
             data["named_regime"] = (*dims, NAMED), runs[1][1]["regime"].values
         title = (sweep.title or sweep.name).removesuffix(f": {sweep.name}")  # not two colons
-        known = VARIABLES | measured_besides(sweep.system) | of_orbits(sweep.system) | OF_ATTRACTORS
+        known = variables_of(sweep.system) | OF_ATTRACTORS
         return self.dataset(
             described(data, known),
             coordinates,

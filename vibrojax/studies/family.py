@@ -145,8 +145,10 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     if spec.orbit is not None and has_free_phase(scene):
         return families_dataset(sweep, section, *_free_marks(spec, section, *_given_orbit(spec, section)))
     if not scene.return_states:
-        place = Place("follow").at("cycles")
-        raise place.error("a motion of one state has no orbits; for its equilibria give cycles=0")
+        why = "a motion of one state has no orbits"
+        if scene.section is None:
+            why = f"{scene.name} declares no section, so it has no orbits; give section= or period="
+        raise Place("follow").at("cycles").error(f"{why}; for its equilibria give cycles=0")
     if spec.orbit is not None:
         known = [_traced_orbit(spec, section, *spec.orbit)]
     else:

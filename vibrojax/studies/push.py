@@ -11,8 +11,9 @@ from jaxtyping import Float, Int
 
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.io.attributes import flags, parameters_of, run_of
-from vibrojax.io.variables import VARIABLES, Variable, orbit_name
+from vibrojax.io.variables import Variable, orbit_name
 from vibrojax.lanes.inputs import Index
+from vibrojax.lanes.labels import variables_of
 from vibrojax.maps.dataset import coordinates
 from vibrojax.maps.machines import Machines
 from vibrojax.maps.read import read_sweep
@@ -320,7 +321,7 @@ class Pushes(MachineAnalysis[Machines]):
                 ("bracket_", (high - low)[:, pair],
                  Variable(state.unit, f"distance to the next smaller {push}, after which the motion returns")),
                 ("bound_", bound[:, k], Variable(state.unit, f"greatest tried {push}")),
-                ("regime_", regime[:, pair], replace(VARIABLES["regime"], long_name=ends_in)),
+                ("regime_", regime[:, pair], replace(variables_of(system)["regime"], long_name=ends_in)),
             ):  # fmt: skip
                 whole = np.full((cycle.sizes["point"], *x.shape[1:]), 0 if part == "regime_" else np.nan)
                 whole[stable] = x

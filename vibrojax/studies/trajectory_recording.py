@@ -131,9 +131,10 @@ def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:
     if refusal is not None and bool(refusal[1][0]):
         raise place.error(f"the point cannot be run: {refusal[0].replace('-', ' ')}")
     given = (0.0,) * len(scene.start_states) if point.start is None or isinstance(point.start, str) else point.start
-    for _, fault, mask in scene.start_faults(p, tuple(np.full(1, x) for x in given)):
+    for code, fault, mask in scene.start_faults(p, tuple(np.full(1, x) for x in given)):
         if bool(np.ravel(mask)[0]):
-            raise place.at("start").error(f"{shown(point.start)}: {fault}")
+            of_start = code in ("beyond-a-stop", "negative-normal-force", "not-finite")
+            raise place.at("start").error(f"{shown(point.start)}: {fault}") if of_start else place.error(fault)
     is_exact = stepper is not None and stepper.rests
     if is_exact and isinstance(scene, HasFriction) and bool(unresolved(scene, point.parameters, "float64")):
         advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"

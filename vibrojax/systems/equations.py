@@ -11,7 +11,7 @@ from vibrojax.lazy import jnp, lax
 from vibrojax.physics.arrays import Array
 from vibrojax.scenes.declared import Guard, Start, Values
 from vibrojax.scenes.scene import ROUNDINGS, Scene
-from vibrojax.systems.events import Event, Friction, Impact, Switch
+from vibrojax.systems.events import Event, Friction, Impact, Switch, below_law
 from vibrojax.systems.flow import Flow, Motion, SystemConstants, onto_zero
 from vibrojax.systems.numbers import Plain, Rounded, slope_along
 from vibrojax.systems.transitions import (
@@ -24,9 +24,6 @@ from vibrojax.systems.transitions import (
     is_stop,
     onto_surfaces,
 )
-
-SAME_COEFFICIENT = 1 - 1e-9
-"""Least ratio of the static coefficient of friction to that of the law at rest: 1, but for rounding errors."""
 
 APPROACH = "approach"
 """Name of the hidden state with the speed of the last impact."""
@@ -311,7 +308,7 @@ class SystemEquations(Scene[SystemConstants]):
         fails += [slope < 0 for _, slope in self._opposing(c.p, zero, y)]
         for _, event in self._flow.of(Friction):
             sliding, static = event.coefficient(zero, c.p) + zero, event.at_rest(c.p) + zero
-            fails += [sliding < 0, static < 0, (sliding > 0) & (static < SAME_COEFFICIENT * sliding)]
+            fails += [sliding < 0, static < 0, below_law(static, sliding)]
         fails += [] if c.period is None else [~(c.period > 0) | ~jnp.isfinite(c.period)]
         return (functools.reduce(lambda x, fails: jnp.where(fails, jnp.nan, x), fails, state[0]), *state[1:])
 
@@ -366,7 +363,7 @@ class SystemEquations(Scene[SystemConstants]):
             faults.append(("negative-normal-force", text, mask))
             sliding, static = event.coefficient(t, p) + t, event.at_rest(p) + t
             text = f"static of {event.name} is {_first(static):.6g}, below the {_first(sliding):.6g} of its law at rest"
-            faults.append(("static-below-sliding", text, (sliding > 0) & (static < SAME_COEFFICIENT * sliding)))
+            faults.append(("static-below-sliding", text, below_law(static, sliding)))
             for at, coefficient in (("", sliding), ("static ", static)):
                 text = f"the {at}coefficient of {event.name} is {_first(coefficient):.6g}; it must not be negative"
                 faults.append(("friction-drives", text, coefficient < 0))

@@ -18,7 +18,6 @@ from vibrojax.systems.kinks import positive_part
 OfMotion = Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Any]
 """A function of time, states and parameters."""
 
-
 KINDS_OF_POINTS = ("fold", "torus", "grazing", "stick", "section", "hopf", "end")
 """Kinds of special points of families, which events cannot have as names: points bear the names of some events."""
 
@@ -29,8 +28,8 @@ class Impact:
 
     - `gap`: function `gap(t, y, p)`, positive while the bodies are apart.
     - `velocity`: name of the state that jumps.
-    - `restitution`: coefficient of restitution r, a number or a function of `p`. An impact multiplies the rate of
-      change of the gap by -r (Newton's law), also for a stop that moves.
+    - `restitution`: coefficient of restitution r, a number or a function of `p`; the default is 1. An impact multiplies
+      the rate of change of the gap by -r (Newton's law), also for a stop that moves.
     - `reset`: a function `reset(t, y, p)`, in place of `velocity` and `restitution`, that returns new values of states
       and discrete states by name; in `reset(t, y, p, s)`, `s` holds the sides of switches and the discrete states. A
       stop with a `reset` cannot hold a body at rest: a lane whose bounces accumulate fails.
@@ -188,6 +187,11 @@ class Friction:
         """
         load = positive_part(self.force(t, y, p, s)) * (1.0 / jnp.asarray(self.inertia(p)))
         return self.coefficient(slip * self.relative(t, y, p), p) * load, self.at_rest(p) * load
+
+
+def below_law(static: Any, law: Any) -> Any:
+    """Return a mask of static coefficients that are below the law at rest by more than rounding errors."""
+    return (law > 0) & (static < (1 - 1e-9) * law)
 
 
 def required_arguments(function: Callable[..., Any]) -> int:

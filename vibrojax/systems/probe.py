@@ -14,7 +14,7 @@ from vibrojax.lazy import jax
 from vibrojax.physics.arrays import check_untraced
 from vibrojax.physics.friction import FRICTION_LAWS, FrictionLaw
 from vibrojax.systems.declared_parameters import UNIT_EXAMPLES, is_unit, parameter_of
-from vibrojax.systems.events import KINDS_OF_POINTS, Event, Friction, Impact, Switch, required_arguments
+from vibrojax.systems.events import KINDS_OF_POINTS, Event, Friction, Impact, Switch, below_law, required_arguments
 from vibrojax.systems.kinks import tried
 from vibrojax.systems.numbers import Dual, Plain, equal
 
@@ -102,6 +102,8 @@ class Probe:
         self._t = Plain.of(rng.uniform(0.1, 0.2, LANES))
         self._check_functions()
         if period is not None:
+            if isinstance(period, str):
+                raise self._refuse(f"period is {shown(period)}; write a number, or a function: lambda p: {period}")
             T = self._number("period", self._call("period", period, defaults) if callable(period) else period)
             if not bool((np.isfinite(T) & (T > 0)).all()):
                 raise self._refuse(f"period is {float(T[0]):g}; it must be above zero")
@@ -139,9 +141,9 @@ class Probe:
                     f"{shown(key)} cannot be a name; write an identifier, not one of {', '.join(RESERVED)}"
                 )
             if len(kinds := [kind for name, kind in names if name == key]) > 1:
-                raise self._refuse(
-                    f"{shown(key)} is the name of a {' and of a '.join(kinds)}; each needs a name of its own"
-                )
+                both = " and ".join(f"{'an' if kind == 'event' else 'a'} {kind}" for kind in kinds)
+                each = f"two {kinds[0]}s" if len({*kinds}) == 1 else both
+                raise self._refuse(f"{shown(key)} is the name of {each}; each needs a name of its own")
 
     def _takes_sides(self) -> bool:
         try:
@@ -177,6 +179,10 @@ class Probe:
                 hint = suggestion(event.law, FRICTION_LAWS) if isinstance(event.law, str) else ""
                 hint = hint or "give a number, a function of p, a law or its name"
                 raise self._refuse(f"event {event.name}: law is {shown(event.law)}; {hint}")
+            own_law = isinstance(event, Friction) and callable(event.law)
+            if own_law and required_arguments(event.law) != 1:
+                hint = "write law(p), or a vj.FrictionLaw with mu(speed, p)"
+                raise self._refuse(f"event {event.name}: law takes other arguments; {hint}")
             functions = {what: function for what, function in (self._surface(event), _normal(event)) if what}
             for what, function in functions.items():
                 if not callable(function):
@@ -252,11 +258,8 @@ class Probe:
             raise self._refuse(f"field gave {type(rates).__name__}; it must give a dict with the rate of each state")
         if set(rates) != set(self._states):
             lacking, more = [x for x in self._states if x not in rates], [x for x in rates if x not in self._states]
-            raise self._refuse(
-                f"field gave no rate of {lacking[0]}"
-                if lacking
-                else f"field gave a rate of {shown(more[0])}, which is not a state"
-            )
+            wrong = f"no rate of {lacking[0]}" if lacking else f"a rate of {shown(more[0])}, which is not a state"
+            raise self._refuse(f"field gave {wrong}")
         return {key: self._number(f"field, {key},", rates[key]) if number else rates[key] for key in self._states}
 
     def _surface(self, event: Event) -> tuple[str, Any]:
@@ -272,12 +275,12 @@ class Probe:
             if isinstance(event, Friction):
                 what = f"event {event.name}: normal"
                 self._number(what, self._call(what, event.force, self._t, self._y, self._p, self._sides))
-                for part, function in (("law", event.law), ("static", event.static)):
-                    what = f"event {event.name}: {part}"
-                    if callable(function) and not isinstance(function, FrictionLaw):
-                        self._number(what, self._call(what, function, self._p))
-                    elif part == "static" and function is not None:
-                        self._number(what, function)
+                what = f"event {event.name}: law"
+                law = self._number(what, self._call(what, event.coefficient, 0.0 * self._t, self._p))
+                what = f"event {event.name}: static"
+                static = law if event.static is None else self._number(what, self._call(what, event.at_rest, self._p))
+                if bool(below_law(static, law).any()):
+                    raise self._refuse(f"{what} is {float(static[0]):g}, below {float(law[0]):g}, the law at rest")
                 what = f"event {event.name}: mass"
                 mass = self._number(what, self._call(what, event.inertia, self._p))
                 if not bool((mass > 0).all()):
