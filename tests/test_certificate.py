@@ -265,6 +265,20 @@ def test_chaotic_transients_are_flagged_and_slow_regular_ones_are_not():
     assert lanes.sensitive.dtype == np.int8
 
 
+def test_lanes_that_the_errors_of_steps_lead_to_another_attractor_are_flagged():
+    """At error=1e-10 each of these lanes ends in another motion. A change of parameters by 1e-9 shows none of them."""
+    points = {
+        "beta": [0.8631347264224529, 1.105118224983419, 0.5531159062027803, 0.8330146174563214, 1.1543272555603177],
+        "gamma": [1.0613563874679435, 1.2414072596087855, 1.3170792252070582, 0.7069795592492611, 0.6381984687404665],
+        "v": [1.116728907511537, 0.7479097338363232, 0.3803740572785527, 1.5913236234290136, 1.000691414864557],
+        "c2": [96.04522782811803, 264.2128332000718, 56.5869744611388, 12.705185055992635, 357.40067319088513],
+        "delta": [0.002085869242647984, 0.005813348754137047, 0.006060025102279831, 0.007493481344627741]
+        + [-0.0020675633723417075],
+    }
+    ds = vj.run_sweep({"scene": "vibro-impact", "starts": ["drive"], "points": points}, progress=False)
+    assert (ds.cycles > 0).sum() >= 4 and ds.sensitive.sum() >= 4
+
+
 def crossings(periodic_since, seed, lanes=1):
     """Return features of aperiodic lanes whose crossings are equal from the crossing with this number on."""
     rng = np.random.default_rng(seed)
