@@ -54,7 +54,7 @@ SUBCRITICAL = vj.System(
 @pytest.fixture(scope="module")
 def standing():
     """Equilibria of `SUBCRITICAL`, from the one at rest."""
-    return vj.follow(SUBCRITICAL, along="m", at=-0.1, span=(-0.4, 0.9), start=[0.0] * 3, cycles=0, progress=False)
+    return vj.follow(SUBCRITICAL, along="m", at=-0.1, span=(-0.4, 0.9), start=[0.01] * 3, cycles=0, progress=False)
 
 
 def test_equilibria_have_hopf_and_branch_points(standing):
@@ -410,3 +410,21 @@ def test_hopf_points_of_a_system_without_events_are_continued():
     np.testing.assert_allclose(curves.B, 1 + curves.A**2, atol=1e-9)
     assert curves.A.values.min() == 0.8 and curves.A.values.max() == 1.2
     assert curves.crossing_B.values == pytest.approx([1.81], abs=1e-10)
+
+
+def test_periods_grow_without_limit():
+    """Cycles x³/3 - x²/2 + v²/2 = m end at the saddle's loop, m = 0; the rotation 1 + m - x has a zero at m = 0."""
+
+    def field(t, y, p):
+        x, v = y["x"], y["v"]
+        off, growth, turn = x**3 / 3 - x**2 / 2 + v**2 / 2 - p["m"], 1 - x**2 - v**2, 1 + p["m"] - x
+        cycle = v - off * (x**2 - x), x - x**2 - off * v
+        circle = growth * x - turn * v, growth * v + turn * x
+        return {name: (1 - p["q"]) * a + p["q"] * b for name, a, b in zip("xv", cycle, circle, strict=True)}
+
+    own = system("xv", field, name="unbounded", parameters={"m": 0.0, "q": 0.0}, section="v")
+    for q, at, span, start in ((0.0, -0.1, (-0.12, 0.1), [1.5, 0.0]), (1.0, 0.4, (-0.3, 0.5), [1.0, 0.0])):
+        family = follow(own, along="m", at=at, span=span, start=start, settle=100.0, observe=150.0, q=q)
+        notes = dict(zip(family.special_value.values, family.special_note.values, strict=True))
+        [end] = [value for value, note in notes.items() if note == "the period grows without limit"]
+        assert len(notes) == 2 and abs(end) < (1e-9 if q == 0 else 2e-5) and family.sizes["point"] < 400

@@ -349,7 +349,7 @@ class _ActiveBranches:
         growth = np.where(self._iterations[kept] >= 4, np.minimum(growth, 0.7), growth)
         # The change of events that made this step fail is within twice the step length.
         growth = np.where(self._shortened[kept], np.minimum(growth, 1.0), growth)
-        step = np.minimum(np.maximum(taken * growth, 10 * SHORTEST_STEP), self._longest)
+        step = np.minimum(np.maximum(taken * growth, 10 * SHORTEST_STEP), self._longest * problem.stretch(now))
         to_corner = np.where(self._shortened[kept], self._step_to_corner(kept, 3 * step), np.nan)
         self._step[kept] = np.where(np.isnan(to_corner), step, to_corner)
         self._shortened[kept] = ~np.isnan(to_corner)

@@ -46,6 +46,9 @@ CRITICAL_MULTIPLIER = 1e-2
 CROSSED_RESIDUAL = 1e-7
 """Largest residual at a branch point. Where two branches only pass each other, it is larger."""
 
+VANISHED_SWING = 1e-9
+"""Relative amplitude up to which the point is the equilibrium at a Hopf point, from which the orbits begin."""
+
 SAME_HALVES = 1e-3
 """Difference between the halves of an orbit, relative to its unknowns, up to which they are equal."""
 
@@ -180,7 +183,8 @@ def _polished(problem: Problem, point: Points) -> Points | None:
         w, b = w + change[columns:-1], b + change[-1]
         if np.abs(change[:columns]).max() < POLISHED:
             break
-    return point if abs(b) < CROSSED_RESIDUAL and point.residual[0] < CROSSED_RESIDUAL else None
+    crossed = abs(b) < CROSSED_RESIDUAL and point.residual[0] < CROSSED_RESIDUAL
+    return point if crossed and point.swing[0] > VANISHED_SWING else None
 
 
 def _curvature(problem: Problem, point: Points, w: np.ndarray) -> np.ndarray:

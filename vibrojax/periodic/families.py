@@ -15,7 +15,13 @@ from vibrojax.periodic.branch_points import DOUBLING, SAME_HALVES, FamilyLocator
 from vibrojax.periodic.grazes import GRAZED_MARGIN, graze_beside
 from vibrojax.periodic.hopf import hopf_point
 from vibrojax.periodic.joined_branches import drop_duplicates, end_where_joined, invariants, is_among
-from vibrojax.periodic.location import classify_event_changes, cross_impact, reindex_returns, turn_corner
+from vibrojax.periodic.location import (
+    classify_event_changes,
+    cross_impact,
+    multipliers_jump,
+    reindex_returns,
+    turn_corner,
+)
 from vibrojax.periodic.newton import spectral_radius
 from vibrojax.periodic.problem import Flags, Index, Points, Problem, towards
 from vibrojax.periodic.segments import (
@@ -48,6 +54,10 @@ ENDS_AT_SHORTER = "the branch ends at the orbit of half its period"
 """Note on a period doubling that a branch reaches from the side of the doubled orbit."""
 
 ENDS_HERE = "the family ends here"
+
+EXCHANGED = "no impact: two events exchange their order, and multipliers jump"
+NO_GRAZE = "the order of events changes, none grazes: two happen at one instant, or one at that of the section"
+"""Notes where no event begins or vanishes: within a branch, and at its end."""
 
 
 class FamilyContinuation(Tracing):
@@ -147,7 +157,7 @@ class FamilyContinuation(Tracing):
     def _repeats(self, orbits: Points) -> Flags:
         """Return a mask of the orbits that go round twice."""
         own, half = (np.linalg.norm(x, axis=1) for x in (orbits.u, self._problem.halves(orbits)))
-        return np.asarray(half < SAME_HALVES * own)
+        return np.asarray(half < SAME_HALVES * np.minimum(own, orbits.swing))
 
     def _pass_branch_point(self, segment: Segment, before: Points, crossing: Points) -> list[Segment]:
         """End a segment at a branch point where its steps became short; return the segment behind it."""
@@ -213,6 +223,7 @@ class FamilyContinuation(Tracing):
         """
         problem, following = self._problem, []
         turned, corners = turn_corner(problem, [segment.points for segment in segments])
+        exchanged = multipliers_jump(corners.near, corners.far) if problem.at_section else np.zeros(len(segments), bool)
         changed = corners.changes_events
         for k, segment in enumerate(segments):
             end, doubled = segment.points.of([-1]), segment.doubled
@@ -225,9 +236,12 @@ class FamilyContinuation(Tracing):
                 )
                 continue
             # At a rigid stop no mode changes: only the margin shows that an event begins.
-            if changed[k] or end.margin[0] < GRAZED_MARGIN:
+            touches = end.margin[0] < GRAZED_MARGIN
+            if touches or (changed[k] and not problem.at_section):
                 flags = classify_event_changes(problem, corners.of([k])).kind
                 kinds = [SPECIAL_KINDS[flag] for flag in flags]
+            elif turned[k]:
+                kinds = ["grazing"]
             crossed = cross_impact(problem, end) if problem.at_section else None
             if crossed is not None:
                 if crossed.tangent[0, -1] * end.tangent[0, -1] < 0:
@@ -242,6 +256,7 @@ class FamilyContinuation(Tracing):
                 joined = doubled and np.linalg.norm(problem.halves(end)) < SAME_POINT
                 stalled = f"no {problem.noun} is found any further"
                 stalled += f"; grazing margin {end.margin[0]:.1e}" * problem.at_section
+                stalled = NO_GRAZE if changed[k] or exchanged[k] else stalled
                 segment.mark("end", ENDINGS[STOPPED] if joined else stalled)
                 continue
             if beyond is None:
@@ -251,7 +266,7 @@ class FamilyContinuation(Tracing):
                 kinds, doubled, note = ["section"], False, f"{beyond.times.shape[1]} returns from here"
             for kind in kinds:
                 event, change = change_of(problem.scene, kind, corners.near.of([k]), corners.far.of([k]))
-                segment.mark(kind, note or change * (not problem.at_section), event)
+                segment.mark(kind, note or (change if exchanged[k] or not problem.at_section else ""), event)
             if beyond is not None:
                 following.append(segment.onward(beyond, doubled))
         return following
@@ -344,7 +359,9 @@ def change_of(scene: Scene[Any], kind: str, near: Points, far: Points) -> tuple[
     changed = (near.mode_changes[0] != far.mode_changes[0]).any(axis=1)
     names = [mode.name for mode, differs in zip(scene.modes, changed, strict=False) if differs]
     event = next((name for name in names if name in scene.named_events), "")
-    return event, f"no impact: another order of events of {', '.join(names)}" if kind == "grazing" and not event else ""
+    if kind != "grazing" or event:
+        return event, ""
+    return "", f"no impact: another order of events of {', '.join(names)}" if names else EXCHANGED
 
 
 def in_order(segments: list[Segment]) -> tuple[list[Mark], list[Mark]]:

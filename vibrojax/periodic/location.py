@@ -72,13 +72,18 @@ class Locator:
         return [(SPECIAL_KINDS.index(kind), every, test) for kind, test in TEST_FUNCTIONS.items()]
 
     def accepted(self, brackets: Brackets, shrunk: Brackets, test: TestFunction, lanes: Index) -> Brackets:
-        """Return the special points among the `lanes` of brackets that were shrunk around zeros of their tests."""
+        """Return the special points among the `lanes` of brackets that were shrunk around zeros of their tests.
+
+        Where two events exchange their order, the number of each is the same, but multipliers may jump.
+        """
         parts = []
         for side in (shrunk, shrunk._replace(near=shrunk.far, far=shrunk.near)):
             critical = is_critical(side.kind[lanes], side.near.product[lanes])
             parts.append(side.of(lanes[critical]))
             lanes = lanes[~critical]
-        return Brackets.join(parts)
+        left = shrunk.of(lanes)
+        exchanged = left.of(multipliers_jump(left.near, left.far))
+        return Brackets.join([*parts, exchanged.as_kind(SPECIAL_KINDS.index("grazing"))])
 
     def classified(self, changes: Brackets) -> Brackets:
         """Return located changes of events, each with its kind; nothing is called grazing although nothing grazes.
@@ -239,11 +244,24 @@ def turn_corner(problem: Problem, branches: Sequence[Points]) -> tuple[Flags, Br
     return turned, Brackets(np.full(len(lanes), EVENT_CHANGE), lanes, before, beyond, np.zeros(len(lanes), bool))
 
 
+def multipliers_jump(first: Points, second: Points) -> Flags:
+    """Return a mask of neighbouring points, far from grazes, between which two events exchange their order.
+
+    The number of each event is the same, but the derivative of the map is another one.
+    """
+    off = np.abs(first.product - second.product).max(axis=(1, 2))
+    apart = off > CRITICAL_DISTANCE * np.maximum(1.0, np.abs(first.product).max(axis=(1, 2)))
+    apart &= (first.signature == second.signature).all(axis=1)
+    least = np.minimum(first.margin, second.margin)
+    return np.asarray(apart & (least > GRAZED_MARGIN) & np.isfinite(least))
+
+
 def _other_side(problem: Problem, last: Points, known: Sequence[np.ndarray]) -> Points:
     """Return the nearest probes behind corners with events other than the `known` signatures, else the last probes."""
     other = last.of(np.arange(len(last.u)))
     for distance in PROBE_DISTANCES:
         same = np.any([(other.signature == signature).all(axis=1) for signature in known], axis=0)
+        same &= ~multipliers_jump(last, other)
         subset = np.flatnonzero(same | ~np.isfinite(other.residual))
         if not len(subset):
             break
@@ -264,7 +282,8 @@ def _continued(problem: Problem, before: Points, last: Points, other: Points) ->
     mirrored = np.concatenate([last.tangent[:, :-1], -last.tangent[:, -1:]], axis=1)
     # A jump of the period means that other section crossings are counted, not that there is a corner.
     same = np.abs(other.period - last.period) < SAME_TIME * last.period
-    same &= (other.signature != before.signature).any(axis=1)
+    exchanged = multipliers_jump(last, other)
+    same &= (other.signature != before.signature).any(axis=1) | exchanged
     for distance in DEPARTURE_DISTANCES:
         for direction in (null, -null, mirrored):
             subset = np.flatnonzero(~turned & same & sound)
@@ -275,6 +294,7 @@ def _continued(problem: Problem, before: Points, last: Points, other: Points) ->
             now, right = problem.correct(last.family[subset], guess, t, np.einsum("ij,ij->i", t, guess))
             known = (before if direction is mirrored else other).signature[subset]
             right &= (now.signature == known).all(axis=1) != (direction is mirrored)
+            right &= ~exchanged[subset] | multipliers_jump(last.of(subset), now)
             right &= np.abs(now.u - guess).max(axis=1) < 0.5 * distance
             kept = subset[right]
             turned[kept] = True

@@ -266,6 +266,10 @@ class Problem:
         """Return the direction along which orbits are the same but for their phase: none at a section."""
         return np.zeros_like(points.u)
 
+    def stretch(self, points: Points) -> PerLane:
+        """Return the factor of the longest step behind points."""
+        return np.ones(len(points.u))
+
     def left_branch(self, last: Points, now: Points) -> Flags:
         """Return a mask of points from which a step back does not lead to the point before: they are on another branch.
 

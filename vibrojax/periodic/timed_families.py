@@ -21,6 +21,9 @@ from vibrojax.periodic.timed_problem import TimedProblem
 LONGEST_PERIOD = 1e3
 """Period, relative to that of the first orbit, at which a family ends: it leads to an orbit to an equilibrium."""
 
+AT_REST = 1e-5
+"""Least rate of change on an orbit, relative to the greatest, at which it leads to an orbit to an equilibrium, too."""
+
 SAME_VALUE, CENTRE_POINTS = 1e-9, 60
 """Scaled change of the parameter that is none, and number of points without one at which a family ends: around a centre
 there are orbits of every amplitude."""
@@ -45,7 +48,8 @@ class TimedContinuation(FamilyContinuation):
             turned = np.einsum("ij,ij->i", own, deviations[lanes]) < 0
             deviations[lanes] = own
             count[lanes] = np.where(np.abs(now.u[:, -1] - first[lanes]) < SAME_VALUE, count[lanes] + 1, 0)
-            return rejoins(lanes, now) | turned | self._is_long(now) | (count[lanes] >= CENTRE_POINTS)
+            endless = self._is_long(now) & (now.period > begin.period[lanes])
+            return rejoins(lanes, now) | turned | endless | (count[lanes] >= CENTRE_POINTS)
 
         return ends
 
@@ -73,7 +77,11 @@ class TimedContinuation(FamilyContinuation):
         return "a centre: orbits of every amplitude at one value"
 
     def _is_long(self, points: Points) -> Flags:
-        return points.period > LONGEST_PERIOD * self._problem.period_unit[points.family]
+        problem, parts = self._problem, self._problem.cycles(points.u)
+        shift = problem.shift(points)[:, : parts * problem.rows].reshape(-1, parts, problem.rows)
+        rates = np.linalg.norm(shift, axis=2)
+        rests = rates.min(axis=1) < AT_REST * rates.max(axis=1)
+        return np.asarray(rests | (points.period > LONGEST_PERIOD * problem.period_unit[points.family]))
 
     def _deviations(self, points: Points) -> np.ndarray:
         """Return the scaled states relative to their mean, flattened."""

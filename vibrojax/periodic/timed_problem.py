@@ -28,6 +28,9 @@ from vibrojax.periodic.problem import (
 from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import Scene
 
+LONG = 10.0
+"""Period, relative to that of the first orbit, from which on the longest step grows with the period."""
+
 NO_SWING = 1e-3
 """Amplitude, relative to that of the point before, below which a step has led to an equilibrium."""
 
@@ -93,6 +96,9 @@ class TimedProblem(Problem):
 
     def left_branch(self, last: Points, now: Points) -> Flags:
         return super().left_branch(last, now) | (now.swing < NO_SWING * last.swing)
+
+    def stretch(self, points: Points) -> PerLane:
+        return np.asarray(np.maximum(points.u[:, -1 - len(self.along)] / LONG, 1.0))
 
     def shift(self, points: Points) -> Unknowns:
         return points.matrix[:, -1]

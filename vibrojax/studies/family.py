@@ -13,7 +13,7 @@ from vibrojax.errors import Place
 from vibrojax.io.variables import REGIMES
 from vibrojax.maps.run import run_sweep
 from vibrojax.measures.ledger import MOST_CYCLES
-from vibrojax.periodic.equilibria import Equilibrium, equilibrium_near
+from vibrojax.periodic.equilibria import Equilibrium, equilibrium_near, scales_at
 from vibrojax.periodic.equilibrium_families import EquilibriumContinuation, EquilibriumProblem
 from vibrojax.periodic.families import FamilyContinuation, in_order
 from vibrojax.periodic.flow_map import flowed
@@ -30,6 +30,9 @@ from vibrojax.studies.family_data import SAME_HOPF, FamilySpec, families_dataset
 
 SAME_CENTRE = 1e-3
 """Difference of the states, relative to their scales, up to which two Hopf points at one value are the same."""
+
+ROUNDED = 1e-9
+"""Size of an equilibrium's states that is a rounding error, relative to a displacement that changes its eigenvalues."""
 
 GIVEN_DISTANCE = 0.3
 """Largest scaled distance of the orbit that is found from the one that is given."""
@@ -93,8 +96,10 @@ def follow(
       branch-point, end, or the name of a system's switch), `special_value` (value of the parameter), `special_branch`
       (number of the branch), and `special_note`.
 
-    At a *grazing* point, an impact or another event appears or vanishes; at a *stick* point, a stick phase does. If the
-    event at a grazing point is not an impact, `special_note` names the affected discrete states. Multipliers at a
+    At a *grazing* point, an impact or another event appears or vanishes, or two events exchange their order and the
+    multipliers jump; at a *stick* point, a stick phase appears or vanishes. If the event at a grazing point is not an
+    impact, `special_note` names the affected discrete states. An exchange of order at which neither the stability nor
+    the direction of the branch changes is no special point. Multipliers at a
     special point are computed on the side from which the point was reached, unless orbits exist only on the other side.
     Where multipliers grow without limit towards a grazing point, the parameter and the state are extrapolated to this
     point, but multipliers and `impacts` belong to the last orbit before it.
@@ -225,12 +230,16 @@ def _from_hopf(spec: FamilySpec, section: Problem) -> xr.Dataset:
     place = Place("follow").at("from_hopf")
     for point in spec.hopf:
         near = (centre for value, centre in reached if abs(value - point.value) < SAME_HOPF * (spec.high - spec.low))
-        states, scales = np.array(point.states)[section.places], np.array(point.scales)[section.places]
+        states = np.array(point.states)
+        parameters = {name: float(x[0]) for name, x in section.parameters.items()} | {spec.along: point.value}
+        # An equilibrium that stays at zero has rounding errors for a size.
+        typical = scales_at(section.scene, spec.along, parameters, states, (spec.low, spec.high))
+        size = np.where(np.array(point.scales) > ROUNDED * typical, point.scales, typical)
+        states, scales = states[section.places], size[section.places]
         if any((np.abs(centre - states) < SAME_CENTRE * scales).all() for centre in near):
             continue
-        parameters = {name: float(x[0]) for name, x in section.parameters.items()} | {spec.along: point.value}
         known = equilibrium_near(section.scene, parameters, np.array(point.states))
-        begun = known and orbit_at_hopf(section, known, np.array(point.scales), point.value)
+        begun = known and orbit_at_hopf(section, known, size, point.value)
         if not begun:
             raise place.error(f"no small orbit is found around the equilibrium at {spec.along} = {point.value:.9g}")
         timed, u = begun
