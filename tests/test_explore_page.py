@@ -382,7 +382,7 @@ def test_legend_of_family_lists_what_occurs_in_visible_colours(browser, tmp_path
 def test_tracks_of_rig_log_choose_rows(browser, tmp_path):
     """A log has no map: its plots choose a row, by pointer and by keys; its numbers have the units of the tracks."""
     depth = np.linspace(1500.0, 1510.0, 41)
-    log = {"Depth (m)": depth, "WOB (kN)": 100.0 + depth % 7, "RPM (rpm)": 120.0, "Torque (kN.m)": 5.0 + depth % 3}
+    log = {"Depth (m)": depth, "WOB (kN)": 100.0 + depth % 7, "RPM (rpm)": 120.0 + depth % 3}
     ds = vj.rig(pd.DataFrame(log | {"ROP (m/h)": 20.0 + depth % 5}), columns={"bit_diameter": "8.5 in"})
     with _open(browser, ds, tmp_path / "rig.html") as opened:
         title, numbers = opened.page.locator(".vx-cellhead h2"), opened.page.locator("[data-name=rate_of_penetration]")
