@@ -101,7 +101,7 @@ def test_cells_are_closed_orbits_of_their_lanes(plane, cells):
 
 def test_summary_has_the_symbols_of_the_pictures():
     [part] = summary_parts(drawn.rock({"k3": [1e8, 3e8], "force": [1e5, 3e5]}))
-    assert part["lines"][1].startswith("largest at k₃=1e+08")
+    assert part["lines"][1].startswith("largest at k₃ = 100 MN/m, A = ")
 
 
 def test_states_before_and_after_an_impact_are_at_its_own_time():

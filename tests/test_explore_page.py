@@ -382,7 +382,7 @@ def test_legend_of_family_lists_what_occurs_in_visible_colours(browser, tmp_path
 def test_tracks_of_rig_log_choose_rows(browser, tmp_path):
     """A log has no map: its plots choose a row, by pointer and by keys; its numbers have the units of the tracks."""
     depth = np.linspace(1500.0, 1510.0, 41)
-    log = {"Depth (m)": depth, "WOB (kN)": 100.0 + depth % 7, "RPM (rpm)": 120.0, "Torque (kN.m)": 5.0 + depth % 3}
+    log = {"Depth (m)": depth, "WOB (kN)": 100.0 + depth % 7, "RPM (rpm)": 120.0 + depth % 3}
     ds = vj.rig(pd.DataFrame(log | {"ROP (m/h)": 20.0 + depth % 5}), columns={"bit_diameter": "8.5 in"})
     with _open(browser, ds, tmp_path / "rig.html") as opened:
         title, numbers = opened.page.locator(".vx-cellhead h2"), opened.page.locator("[data-name=rate_of_penetration]")
@@ -408,14 +408,16 @@ def test_areas_are_read_where_they_are_pointed_at_and_attractors_have_names(brow
     shares = {"share": (over, [[0.7, 0.3], [1.0, 0.0]]), "share_stderr": (over, np.full((2, 2), 0.05))}
     shares |= {"regime": (over, [[3, 6], [3, 6]]), "unassigned": ("gamma", [0, 0])}
     shares |= {"lane_attractor": (("gamma", "start"), [[0, 0, 1], [0, 0, 0]])}
-    ds = xr.Dataset(shares, {"gamma": [0.6, 0.7]}, {"kind": "attractors", "scene": "vibro-impact"})
+    speeds = {"gamma": ("gamma", [0.6, 0.7], {"symbol": "v_cr"})}
+    ds = xr.Dataset(shares, speeds, {"kind": "attractors", "scene": "vibro-impact"})
     with _open(browser, ds, tmp_path / "shares.html") as opened:
         flags = opened.evaluate("vibrojax.grid.variables.get('lane_attractor').flags")
         assert flags == {"0": "attractor 0, single-impact", "1": "attractor 1, irregular"}
         plot = opened.page.locator(".vx-plots canvas[role=img]").first
         x, y = plot.evaluate("c => [c.frame.x(0.61), c.frame.y(85)]")
         plot.hover(position={"x": x, "y": y})
-        assert re.match(r"1: irregular.*: 30 %\ngamma 0.6$", opened.page.locator(".vx-plots .vx-tip").inner_text())
+        tip = opened.page.locator(".vx-plots .vx-tip")
+        assert re.match(r"1: irregular.*: 30 %\nvcr 0.6$", tip.inner_text()) and tip.locator("sub").inner_text() == "cr"
 
 
 def test_followed_orbits_are_within_the_diagram_of_returns(browser, tmp_path):

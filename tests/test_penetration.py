@@ -235,8 +235,8 @@ def test_summary_lists_range_maximum_and_lanes_without_rate(tmp_path, capsys):
     least, most = (ds.rate_of_penetration.sel(force=300e3, frequency=f).item() for f in (10.0, 20.0))
     assert most == pytest.approx(2 * least, rel=1e-6)
     assert rates.lines == [
-        f"{least:.4g} to {most:.4g} m/s ({3600 * least:.4g} to {3600 * most:.4g} m/h) in 2 of 4 lanes",
-        "largest at force=300000 frequency=20",
+        f"{1e3 * least:.4g} to {1e3 * most:.4g} mm/s ({3600 * least:.4g} to {3600 * most:.4g} m/h) in 2 of 4 lanes",
+        "largest at A = 300 kN, f = 20 Hz",
         BELOW_D,
         "the largest force of the pulses there is 30 kN, 0.2 of D; the inertia of the bit takes a part of it",
         "a softer rock (lower threshold) or a larger force can give a rate",

@@ -24,6 +24,7 @@ from vibrojax.pictures.contents import Contents, returns_in
 from vibrojax.pictures.draw import draw
 from vibrojax.pictures.hole import pulses
 from vibrojax.pictures.layout import Facets
+from vibrojax.pictures.maps import regime_dots
 from vibrojax.pictures.motion import states_over_time, trajectory
 from vibrojax.pictures.plots import Area, Bars, Line, Points, Text
 from vibrojax.pictures.returns import bifurcation
@@ -136,7 +137,7 @@ EXPECTED = {
     "rates": lambda: drawn.rock({"k3": [1e8, 3e8], "force": [1e5, 2e5, 3e5], "frequency": np.linspace(10, 40, 9)}),
     "regime_grid": lambda: lanes(square(8, delta=[-0.005, 0.005])),
     "regime_lines": lambda: lanes({"gamma": np.linspace(0.3, 1.2, 20)}),
-    "regime_bars": lambda: drawn.points(also_v=True),
+    "regime_dots": lambda: drawn.points(also_v=True),
     "rate_grid": lambda: drawn.rock({"force": np.linspace(1e5, 3e5, 9), "frequency": np.linspace(10.0, 40.0, 9)}),
     "design_picture": lambda: BEST,
     "elasticities": lambda: SLOPES,
@@ -199,11 +200,21 @@ def test_wrong_widths_and_names_are_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_points_over_three_parameters_are_drawn_over_each():
+    """Columns are the parameters, with the starts of the points; dots have the colours of the regimes."""
+    ds = drawn.points(also_v=True)
+    plots = regime_dots(ds).plots
+    assert [plot.x.name for plot in plots] == 2 * ["beta", "gamma", "v", "start"]
+    assert {len(plot.layers[0].x) for plot in plots if plot.x.name != "start"} == {40}
+    assert set(plots[0].layers[0].colours) == {REGIME_COLOURS[flag] for flag in (2, 3, 6)}
+
+
 def test_titles_break_between_words():
-    """They break between their parts, else between words, and within a word only if it is too long for a line."""
+    """They break between their parts, else between words, and neither within a word nor within a value."""
     title = "start drive: 14 % of the plane"
     assert broken_title(title, 24) == "start drive:\n14 % of the plane"
-    assert broken_title(title, 12).split() == title.split()
+    assert broken_title(title, 12).splitlines()[1].startswith("14 %")
+    assert broken_title("penetration: 1.94 ± 2.5 mm/s", 8) == "penetration:\n1.94 ± 2.5 mm/s"
     assert plain("μ, v_cr of log_a") == r"μ, $\mathregular{v_{cr}}$ of log_a"
     assert broken_title("upper\nC = 21.5 ± 0.7 m/h", 24) == "upper\nC = 21.5 ± 0.7 m/h"
 

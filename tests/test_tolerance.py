@@ -1,5 +1,7 @@
 """Test machines over the box of their tolerances: samples, extremes, command and refusals."""
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -99,6 +101,7 @@ def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():
     irregular = float((sampled.regime == REGIMES.index("irregular")).mean())
     assert float(box.irregular_share[0]) >= irregular > 0
     lines = analysis_of(box).summary(box)[0].lines
+    assert sum(re.search(r"at γ = 0\.6\d+, Δ = −[\d.]+ mm$", line) is not None for line in lines) >= 3
     assert lines[0].startswith("irregular motions in the box") and lines[-1] == box.attrs["extremes"]
     unknown = box.assign(impact_power=box.impact_power.where(box["sample"] > 0))
     assert any("nominal none" in line for line in analysis_of(box).summary(unknown)[0].lines)

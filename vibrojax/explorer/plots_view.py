@@ -42,9 +42,8 @@ ITEM_MAX_POINTS = 20_000
 
 LABEL_MAX_CHARACTERS = 120
 
-LOW_INCHES, WIDE_SHARE, TRACK_SHARE = 1.4, 0.62, 0.15
-"""Height below which a plot is a strip, share of the sheet's width from which it has a row of its own, and share up to
-which plots stand side by side."""
+LOW_INCHES, WIDE_SHARE = 1.4, 0.62
+"""Height below which a plot is a strip, and share of the sheet's width from which it has a row of its own."""
 
 LEAST_LINE = 0.03
 """Length of a line, as a share of the axes, below which it has no entry in the legend."""
@@ -149,7 +148,7 @@ def _plots(
             if (indices := np.flatnonzero(ds[name].values == plot.at[name])).size
         }
         share = sum(sheet.widths[column : column + wide]) / sum(sheet.widths)
-        track, title = len(sheet.widths) > 3 and share < TRACK_SHARE, _plain(re.sub(r"\n(?=.*=)", ", ", title))
+        track, title = plot.y.reversed and plot.y.ticks is None, _plain(re.sub(r"\n(?=.*=)", ", ", title))
         bare, beside = track and beside == plot.y.label, plot.y.label if track else None
         yield {
             "title": title,

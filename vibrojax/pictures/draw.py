@@ -1,6 +1,5 @@
 """Drawing of pictures by matplotlib: panels, legends, colour bars, title and note."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
@@ -23,7 +22,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from vibrojax.pictures import plots
-from vibrojax.pictures.axes import broken
+from vibrojax.pictures.axes import broken, unbroken
 from vibrojax.pictures.layout import LETTERS, NARROW, TALLEST, WIDTH, in_height, in_width
 from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import NO_VALUE, plain, settings
@@ -291,9 +290,9 @@ def _write_margins(figure: Figure, sheet: Sheet) -> None:
         """Wrap a text by the mean width of its letters; an ellipsis marks omitted text, and no value is broken."""
         length = float(renderer.get_text_width_height_descent(text, font, False)[0]) if text else 1.0
         letters = max(int(len(text) * _TEXT_SHARE * (figure.bbox.width - beside) / length), 8)
+        text = unbroken(text)
         while most == _TITLE_LINES and letters > 8 and len(wrap(text, letters - 1)) == len(wrap(text, letters)):
             letters -= 1  # lines of a title are of about equal length
-        text = re.sub(r" = (\S*\d)( (?=[^\W\d]))?", lambda x: x[0].replace(" ", "\u00a0"), text)
         return plain(fill(text, letters, max_lines=most, placeholder="…").replace("\u00a0", " "))
 
     title_size, note_size = rcParams["figure.titlesize"], rcParams["legend.fontsize"]

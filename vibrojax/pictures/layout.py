@@ -209,7 +209,9 @@ def in_width(sheet: Sheet, width: float) -> Sheet:
     for k, (part, each, height) in enumerate(parts):
         span = round(columns * each / width)
         inside = height - _TITLE * any(plot.title for plot in part)
-        plots += [_narrowed(replace(plot, place=(k, i * span, 1, span)), each, inside) for i, plot in enumerate(part)]
+        beside = 0.2 if len({plot.y.group for plot in part} - {""}) == 1 else 0.4  # room that a panel has for itself
+        for i, plot in enumerate(part):
+            plots.append(_narrowed(replace(plot, place=(k, i * span, 1, span)), each, inside, beside))
     heights = [height for *_, height in parts]
     size = width, sum(heights) + 0.12 * len(parts)
     return replace(sheet, plots=plots, size=size, widths=[1.0] * columns, heights=heights, beside=False)
@@ -246,11 +248,11 @@ def _shortened(axis: Axis, length: float, across: bool = False) -> Axis:
     return replace(axis, label=label, intervals=intervals, rotated=across and crowded)
 
 
-def _narrowed(plot: Plot, width: float, height: float) -> Plot:
+def _narrowed(plot: Plot, width: float, height: float, beside: float = 0.4) -> Plot:
     """Return a panel whose texts are broken, and whose ticks are fewer, in a width and height [inch]."""
     # A legend of the plot's own would be as wide as the plot.
     keys = "" if width < _KEYS_PANEL else plot.keys
-    beside = 0.2 if plot.is_map or plot.square else 0.4  # a title is centred above a map, else it begins at the axis
+    beside = 0.2 if plot.is_map or plot.square else beside  # a title is centred above a map, else it begins at the axis
     title = broken_title(plot.title, max(int(LETTERS * (width - beside)), 10))
     inside = (min(height, _MAP_ASPECT * width) if plot.has_cells else height) - _BAR * (plot.scale is not None)
     return replace(plot, title=title, x=_shortened(plot.x, width - 0.3, True), y=_shortened(plot.y, inside), keys=keys)

@@ -256,6 +256,16 @@ class Across:
         return "-" if self.is_number and POINT not in lane_dims(ds) else ""
 
 
+def across(ds: xr.Dataset, name: str) -> Across:
+    """Return the axis of a coordinate, or one along which nothing varies if `name` is empty."""
+    if not name:
+        return Across("", "", np.zeros(1))
+    if not is_numeric(ds[name]):
+        return Across(name, name, np.array([*dict.fromkeys(ds[name].values.tolist())]))
+    factor = axes.scale(ds[name])[0]
+    return Across(name, axes.label(ds[name]), np.unique(ds[name].values) * factor, factor, True)
+
+
 def longest_axis(ds: xr.Dataset) -> Across:
     """Return the longest numeric axis, preferably `frequency`; without numeric axes, the longest string-valued axis.
 
@@ -265,13 +275,7 @@ def longest_axis(ds: xr.Dataset) -> Across:
     sizes = numbers or {name: ds.sizes[name] for name in contents.named_axes(ds)}
     if not sizes and ds.sizes.get(POINT, 1) > 1:
         raise InputError(f"nothing to draw over: no parameter varies along the {ds.sizes[POINT]} points")
-    if not sizes:
-        return Across("", "", np.zeros(1))
-    name = max(sizes, key=lambda name: (sizes[name], name == _FREQUENCY))
-    if not numbers:
-        return Across(name, name, ds[name].values)
-    factor = axes.scale(ds[name])[0]
-    return Across(name, axes.label(ds[name]), np.unique(ds[name].values) * factor, factor, True)
+    return across(ds, max(sizes, key=lambda name: (sizes[name], name == _FREQUENCY), default=""))
 
 
 def axis_of_lines(ds: xr.Dataset, along: str) -> str:
@@ -387,7 +391,7 @@ def rates(ds: xr.Dataset) -> Sheet:
         return bool((swing > _CONSTANT * np.abs(ds[name]).max()).any())
 
     each_blow = [name for name in (_PEAK, _SLIP) if name in ds]
-    drawn = [(RATE, False), *([(RATE, True)] if RELIEF in ds and varies(RELIEF) else [])]
+    drawn = [(RATE, False), *([(RATE, True)] if RELIEF in ds and varies(RELIEF) and bool((ds[RATE] > 0).any()) else [])]
     drawn += [(max(each_blow, key=varies), False)] if each_blow else []
     lines = line_keys(ds, by, dash=dash)
     if named:

@@ -15,10 +15,9 @@ from vibrojax.pictures import axes, colours, contents
 from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, SENSITIVE, START, lane_dims, varied
 from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, Facets, at, facets, is_narrow
+from vibrojax.pictures.lines import across, dot_size, lane_dots
 from vibrojax.pictures.overlays import check_borders, codim2_layers, over_map_text, over_panel
 from vibrojax.pictures.plots import (
-    Axis,
-    Bars,
     Cells,
     Layer,
     Line,
@@ -26,7 +25,6 @@ from vibrojax.pictures.plots import (
     Plot,
     Points,
     Sheet,
-    Text,
     colours_of,
     dots,
     one_colour,
@@ -44,7 +42,7 @@ _MANY_VALUES = 4  # number of quantities from which on half as many facets are d
 _LETTERS_PER_INCH = 17  # number of characters that fit on an axis label per inch of the axis
 _DOT, _MANY_DOTS = 4.5, 600  # diameter of a dot [pt], and number of points from which on dots are smaller
 _SYMBOLS = {"mean_force": "P", "relief": "P/D"}
-_MOST_BAR_COLUMNS = 4
+_MOST_DOT_COLUMNS = 4
 
 # The region of parameters with "best" stable single impacts (source, chapter 5).
 REGION = {"beta": (0.25, 0.60), "gamma": (0.60, 0.80)}
@@ -258,29 +256,32 @@ def split_starts(ds: xr.Dataset) -> Facets:
 # Lanes without a map.
 
 
-def regime_bars(ds: xr.Dataset) -> Sheet:
-    """Draw the number of lanes in each regime, one panel per initial condition."""
+def regime_dots(ds: xr.Dataset) -> Sheet:
+    """Draw the quantities beside the regimes over each parameter of a list of points, or over the starts of a machine.
+
+    Dots have the colours of the regimes, which are the ordinate if there is no such quantity.
+    """
     ds = colours.regimes_in(ds)
-    panels = split_starts(ds)
-    counts = [colours.regime_counts([facet[REGIME]]) for facet in panels.data]
-    occurring, names = sorted(set().union(*counts)), colours.regime_names(ds[REGIME])
-    wide = min(len(panels), 1 if is_narrow() else _MOST_BAR_COLUMNS)
-    deep = -(-len(panels) // wide)
-    shown = [colours.REGIME_COLOURS[flag] for flag in occurring]
-    most = max((n for count in counts for n in count.values()), default=1)
-    across = Axis("lanes", limits=(0.0, 1.4 * most), intervals=min(most, 5), group="lanes")
-    places = np.arange(len(occurring), dtype=float)
-    ticks = [(float(k), names[flag]) for k, flag in enumerate(occurring)]
-    up = Axis(limits=(-0.5, max(len(occurring), 1) - 0.5), ticks=ticks, reversed=True, group="regimes")
-    plots = []
-    for k, ((title, facet), count) in enumerate(zip(panels, counts, strict=True)):
-        lanes = [count.get(flag, 0) for flag in occurring]
-        texts = [
-            Text(float(n), float(place), f"{n}  ({axes.share_text(n / facet[REGIME].size)})", "left", offset=(3.0, 0.0))
-            for n, place in zip(lanes, places, strict=True)
-            if n
-        ]
-        bars = Bars(np.zeros(len(lanes)), places - 0.4, np.array(lanes), np.full(len(lanes), 0.8), shown, "#595959")
-        plots.append(Plot([bars, *texts], across, up, title, divmod(k, wide)))
-    size = 1.6 + 3.0 * wide, 0.6 + deep * (0.6 + 0.32 * max(len(occurring), 2))
-    return Sheet(plots, size, **axes.margins(ds, axes.certified_text(ds)))
+    values, regimes = colours.values_beside(ds) or [colours.value_of(ds[REGIME])], ds[REGIME]
+    names = [*dict.fromkeys([*varied(ds), *varied(ds, names=True), *contents.named_axes(ds)])]
+    places = [across(ds, name) for name in names[:_MOST_DOT_COLUMNS] or [""]]
+
+    def of_lanes(data: xr.DataArray) -> np.ndarray:
+        return np.asarray(data.broadcast_like(regimes).transpose(*regimes.dims).values, float).ravel()
+
+    edge: Look = {"edge": "#4D4D4D", "edge_width": 0.3}
+    plots, cells, size = [], colours.regime_cells(regimes).ravel(), dot_size(regimes.size)
+    for row, value in enumerate(values):
+        heights, up = of_lanes(value.of(ds)), colours.value_axis(value, group=value.name)
+        for column, x in enumerate(places):
+            along = of_lanes(xr.DataArray(x.of(ds), dims=ds[x.name].dims) if x.name else xr.zeros_like(regimes))
+            shown = replace(lane_dots(along, heights, cells, size), **edge)
+            place = (row, column) if places[1:] else (column, row)
+            plots.append(Plot([shown], x.axis(ds, group=x.name), up, place=place))
+    keys = [dots(label=x.label, colour=x.colour, size=5.0, **edge) for x in colours.regime_keys([regimes])]
+    missing = [int(np.isnan(of_lanes(value.of(ds))).sum()) for value in values]
+    texts = [f"{n} lanes have no {colours.words_for(x.name)}" for n, x in zip(missing, values, strict=True) if n]
+    more = f"Also varied: {', '.join(names[_MOST_DOT_COLUMNS:])}" if names[_MOST_DOT_COLUMNS:] else ""
+    deep, wide = (1 + max(ends) for ends in zip(*(plot.place for plot in plots), strict=True))
+    sheet = 0.6 + 2.8 * wide + LEGEND_WIDTH, 0.8 + 2.3 * deep
+    return Sheet(plots, sheet, keys=[keys], **axes.margins(ds, axes.certified_text(ds), *texts, more))

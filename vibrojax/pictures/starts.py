@@ -11,7 +11,7 @@ from vibrojax.pictures.colours import Value
 from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, START, lane_dims, swept
 from vibrojax.pictures.layout import LEGEND_WIDTH
 from vibrojax.pictures.lines import regime_lines
-from vibrojax.pictures.maps import map_sheet, point_layers, regime_bars
+from vibrojax.pictures.maps import map_sheet, point_layers, regime_dots
 from vibrojax.pictures.plots import Plot, Sheet
 
 PREFIX = "start_"
@@ -153,7 +153,7 @@ def many_starts(ds: xr.Dataset, values: Sequence[Value] | None = None) -> Sheet:
     ds = colours.regimes_in(ds)
     if POINT in lane_dims(ds):
         names = list(contents.varied(ds))
-        return _over_two(ds, names[0], names[1], values) if len(names) == 2 else regime_bars(ds)
+        return _over_two(ds, names[0], names[1], values) if len(names) == 2 else regime_dots(ds)
     parameters, spread = swept(ds), on_axes(ds)
     shown = values or [colours.regime_value(ds[REGIME]), *colours.values_beside(ds)]
     quantities = [value for value in shown if not value.counted]
@@ -167,7 +167,7 @@ def many_starts(ds: xr.Dataset, values: Sequence[Value] | None = None) -> Sheet:
     if len(states) == 1 and not long:
         return regime_lines(spread, states[0], note, quantities)
     if not parameters:
-        return _phase_planes(described(ds), shown) if varied_states(ds) else regime_bars(ds)
+        return _phase_planes(described(ds), shown) if varied_states(ds) else regime_dots(ds)
     if len(parameters) == 1 or len(long) == 1:
         return regime_lines(ds, values=quantities)
     return _over_two(ds, *contents.axes_of_map(ds), values)

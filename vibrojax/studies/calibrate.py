@@ -96,7 +96,7 @@ def _posterior_plot(ds: xr.Dataset) -> Plot:
         layers: list[Layer] = [bars, upright(estimate[0], colour=IMPACT)]
         return Plot(layers, axes[0], Axis("draws of the posterior", limits=(0.0, None)), "posterior")
     layers = [
-        dots(draws[:, 0], draws[:, 1], colour=BIT, size=1.0, alpha=0.4),
+        dots(draws[:, 0], draws[:, 1], colour=BIT, size=1.0, alpha=0.4, label="draws"),
         dots(estimate[:1], estimate[1:2], marker="*", colour=IMPACT, size=10.0, order=3.0, label="estimate"),
     ]
     return Plot(layers, axes[0], axes[1], "posterior")

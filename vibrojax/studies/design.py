@@ -44,6 +44,10 @@ DESIGN_VARIABLES = {
 """Variables whose units do not depend on the design, unlike objective, subject, map and front."""
 
 
+_LEAST_BOX = 0.01
+"""Half-width of the tolerance box, in units of the map's, above which it is larger than the mark of the best."""
+
+
 def design_picture(ds: xr.Dataset) -> Sheet:
     """Draw the map with the candidates, over two parameters or over each of several, and the front if there is one."""
     names = [str(name) for name in ds["parameter"].values][:_MAX_PANELS]
@@ -70,7 +74,7 @@ def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
     layers: list[Layer] = [squares, *_infeasible(x[~fit], y[~fit])]
     layers += _marks(values_along(ds[across]), values_along(ds[up]))
     widths = [float(ds.attrs.get(f"tolerance_{name}", 0.0)) * scale(ds[name])[0] for name in (across, up)]
-    if all(widths):
+    if max(widths[0] / np.ptp(x), widths[1] / np.ptp(y)) > _LEAST_BOX and all(widths):
         centre = values_along(ds[across])[0], values_along(ds[up])[0]
         corners = [-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]
         right, top = (c + w * np.array(k) for c, w, k in zip(centre, widths, corners, strict=True))

@@ -21,6 +21,7 @@ from vibrojax.maps.run import lanes_beside, run_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, SINGLE_IMPACT
 from vibrojax.pictures.axes import margins, pretty_unit, scale, symbols_of
+from vibrojax.pictures.colours import Value
 from vibrojax.pictures.plots import FAINT, INK, Axis, Bars, Cells, Layer, Line, Plot, Sheet, Text, bars, one_colour
 from vibrojax.pictures.style import BIT
 from vibrojax.settings.fields import given, setting
@@ -56,11 +57,12 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     size = 9.0, len(of) * max(1.7, 0.6 + 0.22 * ds.sizes["parameter"]) + 0.8
     greatest = 100 * min(float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE)), 1.0)
     norm = Normalize(0.0, greatest)
+    pairs = Value("sobol_pair", "interaction of a pair [%]", 1.0, norm, "neither", colormaps["Blues"])
     plots = []
     for k, name in enumerate(of):
         row = ds.sel(of=name)
         plots.append(_share_plot(row, k, "share of the variance" if name == of[-1] else ""))
-        plots.append(_pair_plot(row, k, norm))
+        plots.append(_pair_plot(row, k, pairs))
     rest = ds.sizes["of"] - len(of)
     further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
     level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
@@ -93,22 +95,22 @@ def _symbols(row: xr.Dataset) -> list[str]:
     return [signs.get(str(name), str(name)) for name in row["parameter"].values]
 
 
-def _pair_plot(row: xr.Dataset, k: int, norm: Normalize) -> Plot:
+def _pair_plot(row: xr.Dataset, k: int, value: Value) -> Plot:
     """Draw the lower triangle of second-order indices; those within their confidence interval of 0 are in brackets."""
     names = _symbols(row)
     values, errors = (100 * x for x in _interactions(row))
     lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
     ends = np.arange(len(names) + 1) - 0.5
-    layers: list[Layer] = [Cells(ends, ends, lower, colormaps["Blues"], norm, hatched=False)]
+    layers: list[Layer] = [Cells(ends, ends, lower, value.colour_map, value.norm, hatched=False)]
     unknown = np.isfinite(lower) & ~(values > errors)
     layers.append(one_colour(ends, ends, unknown, _UNKNOWN, order=0.5))
     for i, j in zip(*np.nonzero(np.isfinite(lower)), strict=True):
-        colour = "#FFFFFF" if norm(lower[i, j]) > 0.6 and not unknown[i, j] else INK
+        colour = "#FFFFFF" if value.norm(lower[i, j]) > 0.6 and not unknown[i, j] else INK
         text = f"({lower[i, j]:.0f})" if unknown[i, j] else f"{lower[i, j]:.0f}"
         layers.append(Text(float(j), float(i), text, colour=colour, size=7.5))
     ticks = [(float(place), name) for place, name in enumerate(names)]
     across, up = Axis(ticks=ticks, group="other"), Axis(ticks=ticks, reversed=True)
-    return Plot(layers, across, up, "interactions of pairs [%]", (k, 1))
+    return Plot(layers, across, up, "interactions of pairs [%]", (k, 1), scale=value)
 
 
 def _title(row: xr.Dataset) -> str:

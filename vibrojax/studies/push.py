@@ -25,7 +25,7 @@ from vibrojax.periodic.lane_stages import plan_of, run_lanes
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
 from vibrojax.physics.parameters import positive
-from vibrojax.pictures.axes import axis, margins, number, scale, symbol, values_along, with_unit
+from vibrojax.pictures.axes import axis, margins, number, quantity_text, scale, symbol, values_along, with_unit
 from vibrojax.pictures.colours import REGIME_COLOURS, regime_cells, regime_names
 from vibrojax.pictures.contents import POINT, varied
 from vibrojax.pictures.plots import Axis, Bars, Key, Layer, Line, Look, Plot, Sheet, Text, dots, key, level, patch
@@ -410,12 +410,13 @@ class Pushes(MachineAnalysis[Machines]):
             lines.append(f"working cycle: {regime}, {float(machine['period']):.5g} s")
             for state in _pushed(machine):
                 push, bracket, ends = (machine[f"{part}_{state}"].values for part in ("push", "bracket", "regime"))
-                unit = machine[f"{_PUSH}{state}"].attrs["units"].replace(" s-1", "/s")
+                bound = machine[f"bound_{state}"]
                 for k, sign in enumerate("-+"):
-                    text = f"{push[k]:.4g} {unit} (within {bracket[k]:.1g}): {meanings.get(int(ends[k]))}"
+                    text = f"{quantity_text(push[k], bound, 4)} (within {quantity_text(bracket[k], bound, 1)})"
+                    text += f": {meanings.get(int(ends[k]))}"
                     if np.isnan(push[k]):
-                        text = f"none up to {float(machine[f'bound_{state}']):.4g} {unit} leaves it"
-                    lines.append(f"  {state} {sign}  {text}")
+                        text = f"none up to {quantity_text(float(bound), bound, 4)} leaves it"
+                    lines.append(f"  {SYMBOLS.get(state, state)} {sign}  {text}")
         return [SummaryPart("pushes", lines)]
 
 

@@ -275,8 +275,8 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         return curves(fit, ["C"])
     if "reference_force" in fit.attrs:  # the threshold is unknown: some forms are the same curve as another one
         fit = fit.sel({FORM: [name for name in fit[FORM].values if name not in SAME_AS_ONSET]})
-    most, columns = (4, 2) if is_narrow() else (_MOST_GROUPS, _MOST_COLUMNS)
-    groups, count = facets(fit, (), most), fit["C"].size // fit.sizes[FORM]
+    groups, count = facets(fit, (), 4 if is_narrow() else _MOST_GROUPS), fit["C"].size // fit.sizes[FORM]
+    columns = 2 - len(groups) % 2 if is_narrow() else _MOST_COLUMNS
     along = "the rows of the table" if fit.attrs["along"] == POINT else fit.attrs["along"]
     limit = BLOCK_LIMIT if fit["cv_error"].notnull().any() else AIC_LIMIT
     force = float(fit.attrs.get("reference_force", np.nan))

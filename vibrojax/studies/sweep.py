@@ -15,10 +15,10 @@ from vibrojax.measures.labels import blow_frequency
 from vibrojax.physics.modes import natural_frequencies, uncoupled_frequencies
 from vibrojax.physics.parameters import REPLACED, resolved
 from vibrojax.physics.rock import ROCKS
-from vibrojax.pictures.axes import pretty_unit
+from vibrojax.pictures.axes import pretty_unit, scale, value_text
 from vibrojax.pictures.contents import Contents
 from vibrojax.pictures.lines import rates, regime_lines
-from vibrojax.pictures.maps import rate_grid, regime_bars, regime_grid
+from vibrojax.pictures.maps import rate_grid, regime_dots, regime_grid
 from vibrojax.pictures.overlays import ON_MAPS, refuse_overlays
 from vibrojax.pictures.plots import Picture
 from vibrojax.pictures.returns import bifurcation, hysteresis
@@ -41,7 +41,7 @@ class Sweeps(Analysis):
         PictureRule("rates", lambda held: held.rates and not held.worth_a_map, rates),
         PictureRule("regimes", lambda held: held.regimes and (held.points_over_two or len(held.axes) > 1), regime_grid),
         PictureRule("regimes", lambda held: held.regimes and held.quantities_over_one, regime_lines),
-        PictureRule("regimes", lambda held: held.regimes, regime_bars),
+        PictureRule("regimes", lambda held: held.regimes, regime_dots),
         PictureRule("rate map", lambda held: held.rates, rate_grid),
     )
 
@@ -148,11 +148,12 @@ def _rates(ds: xr.Dataset) -> SummaryPart:
     facts: dict[str, Any] = {"lanes": count, "least": None, "greatest": None}
     if count:
         greatest = penetrates.isel(penetrates.argmax(...))
-        values = {str(name): greatest[name].item() for name in greatest.coords if name in ds.dims}
-        where = " ".join(f"{name}={x:.6g}" if isinstance(x, float) else f"{name}={x}" for name, x in values.items())
+        where = ", ".join(value_text(ds[name], greatest[name].item()) for name in greatest.coords if name in ds.dims)
         least, most = float(penetrates.min()), float(greatest)
+        factor, unit = scale(rate)
         per_hour = f"{3600 * least:.4g} to {3600 * most:.4g} m/h"
-        lines = [f"{least:.4g} to {most:.4g} m/s ({per_hour}) in {count} of {counted(rate.size, 'lane')}"]
+        ends = f"{factor * least:.4g} to {factor * most:.4g} {pretty_unit(unit)}"
+        lines = [f"{ends} ({per_hour}) in {count} of {counted(rate.size, 'lane')}"]
         lines += [f"largest at {where}"] if where else []
         facts |= {"least": least, "greatest": most}
     else:

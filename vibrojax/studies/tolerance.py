@@ -360,7 +360,7 @@ def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object],
         return {name: float(ds[name][sample]) for name in toleranced(ds)}
 
     def place_text(sample: int) -> str:
-        return ", ".join(f"{name} = {value:.6g}" for name, value in place(sample).items())
+        return ", ".join(value_text(ds[name], value) for name, value in place(sample).items())
 
     meanings, drawn = flags(ds["regime"]), lane["place"].values != REFINED
     samples, regimes = int(drawn.sum()), lane["regime"].values[drawn]

@@ -28,9 +28,10 @@ function maker(id) {
 /** How directions are called in lists: by label and symbol, by the symbol alone where that is longer than `most`. */
 function namer(along, most) {
   return ({ column }) => {
-    const { label, symbol } = column, whole = symbol === column.name || symbol === label ? label : `${label}, ${symbol}`;
+    const { symbol } = column, label = column.label.replace(/ \(.*/, "");  // as on the axis
+    const whole = symbol === column.name || symbol === label ? label : `${label}, ${symbol}`;
     if (whole.length <= most) return whole;
-    return label.length < most && along.filter((other) => other.column.label === label).length === 1 ? label : symbol;
+    return label.length < most && along.filter((other) => other.column.label.replace(/ \(.*/, "") === label).length === 1 ? label : symbol;
   };
 }
 

@@ -4,7 +4,7 @@
 export const el = (tag, attributes = {}, ...children) => {
   const one = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
-    if (name === "text") one.textContent = value;
+    if (name === "text") write(one, value);
     else if (name === "style") one.style.cssText = value;  // as an attribute, the page's policy would refuse it
     else if (name.startsWith("on")) one.addEventListener(name.slice(2), value);
     else if (value === true) one.setAttribute(name, "");
@@ -13,6 +13,15 @@ export const el = (tag, attributes = {}, ...children) => {
   one.append(...children);
   return one;
 };
+
+/** The parts of a text around the indices of symbols such as v_cr: what is before, the symbol, its index, and so on. */
+export const indexed = (text) => String(text ?? "").split(/(?<![\p{L}\d_])(\p{L})_([a-z]{1,3})(?![\p{L}\d_])/u);
+
+/** Write a text into an element, with lowered indices except in code. */
+export function write(one, text) {
+  if (/^(code|option|title)$/i.test(one.tagName)) one.textContent = text;
+  else one.replaceChildren(...indexed(text).map((part, k) => (k % 3 === 2 ? el("sub", { text: part }) : part)));
+}
 
 /** Where an event is in an element. */
 export const placeIn = (one, { clientX, clientY }) => { const { left, top } = one.getBoundingClientRect(); return [clientX - left, clientY - top]; };

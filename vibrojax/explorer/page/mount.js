@@ -3,6 +3,7 @@ import { callsOf } from "./calls.js";
 import { fillChosen, numbersOf } from "./chosen.js";
 import { controlsOf } from "./controls.js";
 import { unpack } from "./decode.js";
+import { write } from "./dom.js";
 import { fragmentOf, readFragment } from "./fragment.js";
 import { Grid } from "./grid.js";
 import { layOut } from "./layout.js";
@@ -141,7 +142,7 @@ class Page {
     if (anew) this.limit();
     this.view.draw({ x, y, variable: this.variable, cell: this.cell, region, patch, only: this.among, borders: borders !== "off" && borders }, anew);
     if (anew) drawLegend(this);
-    this.caption.textContent = this.mapTitle();
+    write(this.caption, this.mapTitle());
     this.figure?.draw();
     drawSlices(this);
     drawSigns(this.element);
@@ -258,7 +259,7 @@ class Page {
     if (!this.shown.x) return;
     const { variable, grid } = this, value = grid.valueText(variable, grid.value(variable.name, this.cell)), name = variable.name.replaceAll("_", " ");
     const names = this.view.namesAt(null, this.cell), here = names.length ? `; here curves meet: ${names.join(", ")}` : "";
-    this.live.textContent = `${grid.cellText(this.cell, variable.axes, undefined, true)}: ${name.endsWith(value.split(" ")[0]) ? "" : `${name} `}${value}${here}`;
+    write(this.live, `${grid.cellText(this.cell, variable.axes, undefined, true)}: ${name.endsWith(value.split(" ")[0]) ? "" : `${name} `}${value}${here}`);
   }
 
   showMotion(motion) {

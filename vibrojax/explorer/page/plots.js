@@ -1,5 +1,5 @@
 // Plots on canvas: scales, ticks, frames, lines, marks, signs of legends. Sizes are in CSS pixels.
-import { el } from "./dom.js";
+import { el, indexed } from "./dom.js";
 
 export const FONT = "system-ui, -apple-system, 'Segoe UI', sans-serif";
 
@@ -143,6 +143,17 @@ export function limitsAndTicks(values) {
   return { limits: limitsOf([values]), ticks: zero ? [[0, "0"]] : undefined };
 }
 
+/** Write the label of an axis around a place, narrowed to a length, with lowered indices. */
+function writeLabel(c, text, x, y, most) {
+  const parts = indexed(text), fonts = parts.map((_, k) => `${k % 3 === 2 ? 8.5 : 11.5}px ${FONT}`);
+  if (parts.length === 1) { c.fillText(text, x, y, most); return; }
+  const lengths = parts.map((part, k) => { c.font = fonts[k]; return c.measureText(part).width; });
+  let at = x - lengths.reduce((sum, one) => sum + one) / 2;
+  c.textAlign = "left";
+  parts.forEach((part, k) => { c.font = fonts[k]; c.fillText(part, at, y + (k % 3 === 2 ? 3 : 0)); at += lengths[k]; });
+  Object.assign(c, { font: fonts[0], textAlign: "center" });
+}
+
 /**
  * A frame with ticks and labels, and in it what `draw(context, x, y, box)` draws.
  * `x`, `y`: {limits, label, log, reversed, ticks: [[value, text]]}; options: {left, right, top, square, grid, empty: nothing to
@@ -206,12 +217,12 @@ export function framed(canvas, ink, x, y, draw, options = {}) {
   const middle = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];
   const room = (at, size) => 2 * Math.min(at, size - at) - 4;
   if (options.empty) c.fillText("no value here", ...middle);
-  if (x.label) c.fillText(x.label, middle[0], box.bottom + 27, room(middle[0], width));
+  if (x.label) writeLabel(c, x.label, middle[0], box.bottom + 27, room(middle[0], width));
   if (y.label) {
     c.save();
     c.translate(options.square ? Math.max(9, box.left - wide - 18) : 9, middle[1]);
     c.rotate(-Math.PI / 2);
-    c.fillText(y.label, 0, 0, room(middle[1], height));
+    writeLabel(c, y.label, 0, 0, room(middle[1], height));
     c.restore();
   }
   canvas.frame = { x: sx, y: sy, box, context: c, xAxis: x, yAxis: y, xTicks };

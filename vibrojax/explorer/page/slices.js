@@ -1,6 +1,6 @@
 // Below the map: the variable along both directions through the chosen cell; of a trajectory its whole course.
 import { colourName, drawCourse, groupsOf } from "./cell.js";
-import { el } from "./dom.js";
+import { el, write } from "./dom.js";
 import { labelOf, placesOf } from "./grid.js";
 import { interactive } from "./interact.js";
 import { csvOf } from "./paper.js";
@@ -28,7 +28,7 @@ function sliceFigure(k) {
 function drawSlice(page, figure, direction, other) {
   const { variable, grid } = page, { column } = direction, canvas = figure.querySelector("canvas");
   const at = grid.coordinateText(other.column, page.cell[other.axis.name]), title = `${variable.name.replaceAll("_", " ")} at ${at}`;
-  figure.querySelector("figcaption span").textContent = title;
+  write(figure.querySelector("figcaption span"), title);
   canvas.setAttribute("aria-label", `${variable.label} along ${column.label} at ${at}`);
   const xs = placesOf(column), cells = xs.map((_, i) => ({ ...page.cell, [direction.axis.name]: i })), values = cells.map((cell) => grid.value(variable.name, cell));
   const known = variable.flags ? [...new Set(values)].sort((a, b) => a - b) : [];
