@@ -1,7 +1,7 @@
 """Commands that read rig logs: fits of the rate-of-penetration law, and measures of a log."""
 
 import hashlib
-from contextlib import nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,6 @@ from vibrojax.progress import timed
 from vibrojax.studies import WORDS
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
     import xarray
 
 _READING = (
@@ -69,14 +67,14 @@ def fit(options: Options) -> None:
     identity |= {"data": _digest(file), "along": options.along, "by": ", ".join(by), "fit": True}
     identity |= {f"columns.{name}": text for name, text in columns.items()}
 
-    def fitted(_: Path) -> "AbstractContextManager[xarray.Dataset]":
+    def fitted(*_: Path | ExitStack) -> "xarray.Dataset":
         with timed("fit"):
             law = fit_rop(options.file, options.along, by, progress=False, columns=columns, **reading)
         if (law["data_use"] == USES.index("censored")).any() and not (law["data_use"] == USES.index("fitted")).any():
             lanes = counted(int((law["data_use"] > 0).sum()), "lane")
             more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
             raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
-        return nullcontext(law)
+        return law
 
     ds = result(options, _default(file, "fit", "data"), identity, fitted, reused=False)
     law = ds.dataset
@@ -153,7 +151,9 @@ def rig(options: Options) -> None:
     columns, reading, given = _reading(options, list(options.columns or []))
     identity = {"rig": _digest(file), "units": units, **given, **columns}
 
-    def measured(_: Path) -> "AbstractContextManager[xarray.Dataset]":
-        return nullcontext(measures(file, columns, **reading, units=units))
-
-    result(options, _default(file, "rig", "rig"), identity, measured).print(options)
+    result(
+        options,
+        _default(file, "rig", "rig"),
+        identity,
+        lambda *_: measures(file, columns, **reading, units=units),
+    ).print(options)

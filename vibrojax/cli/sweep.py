@@ -1,7 +1,7 @@
 """The command `sweep`, and the executors that `--workers` names."""
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,14 +66,12 @@ def sweep(options: Options) -> None:
         _print_cost(plan, output(options.out or default, endings, drawn=True))
         return
 
-    @contextmanager
-    def computed(out: Path) -> "Iterator[xarray.Dataset]":
+    def computed(out: Path, _: ExitStack) -> "xarray.Dataset":
         again = [word for change in options.changes for word in ("--set", change)] + ["-o", str(out)]
         again += ["--workers", options.workers] if options.workers else []
         options.advise(KEPT, "sweep", options.sweep, *again)
         with engine(out) as executor:
-            dataset = run_to_file(plan, out, not options.fresh, progress, executor, meanwhile=_prepare_output)
-        yield dataset
+            return run_to_file(plan, out, not options.fresh, progress, executor, meanwhile=_prepare_output)
 
     each = "a point from one start each" if plan.starts is not None else "a point each"
     result(
