@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from vibrojax.cli.arguments import KEPT, Options, argument, command, either, flag
 from vibrojax.cli.output import ZARR, output, result
-from vibrojax.errors import InputError, counted, shown
+from vibrojax.errors import InputError, counted, first_line, shown
 from vibrojax.io.files import size_text, time_text
 
 if TYPE_CHECKING:
@@ -133,8 +133,8 @@ def _dask_executor(address: str) -> "Iterator[Executor]":
     try:
         client = Client(f"tcp://{address}", timeout=SCHEDULER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:  # asyncio's TimeoutError is an OSError
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{place}: no scheduler of dask answers there ({reason}); start one: dask scheduler") from None
+        problem = f"no scheduler of dask answers there ({first_line(error)}); start one: dask scheduler"
+        raise InputError(f"{place}: {problem}") from None
     with client:
         yield client.get_executor()
 

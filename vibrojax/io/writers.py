@@ -17,8 +17,9 @@ import netCDF4
 import numpy as np
 import xarray as xr
 
+from vibrojax.errors import first_line
 from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
-from vibrojax.io.dataset import check_zarr, first_line
+from vibrojax.io.dataset import check_zarr
 from vibrojax.io.trust import seal
 
 COMPRESSED = 4096
