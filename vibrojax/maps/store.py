@@ -117,8 +117,7 @@ class Store:
         """Remove the chunks; the folder follows when it is closed, unless it holds other files."""
         self.clear(chunks=True)
         (self.folder / MANIFEST).unlink(missing_ok=True)
-        with suppress(PermissionError):  # Windows cannot delete an open file; releasing the lock removes it
-            (self.folder / LOCK).unlink(missing_ok=True)  # while no other process can hold the lock
+        (self.folder / LOCK).unlink(missing_ok=True)  # while no other process can hold the lock
 
     def _path(self, index: int) -> Path:
         return self.folder / f"chunk-{index:08d}.zip"
