@@ -7,7 +7,7 @@ attribute.
 
 import json
 from collections.abc import Mapping
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -28,16 +28,6 @@ LARGEST = 1e300
 
 LONGEST_NAME = 100
 """Maximum length of a parameter name [characters]."""
-
-
-class Differing(TypedDict):
-    """A parameter whose value differs from the default."""
-
-    name: str
-    symbol: str
-    units: str
-    value: float
-    default: float
 
 
 def check_attributes(ds: xr.Dataset) -> None:
@@ -72,9 +62,9 @@ def parameter_units_of(ds: xr.Dataset) -> dict[str, str]:
     return {name: printable(unit, LONGEST_NAME) for name, unit in _read(ds, "parameter_units", {}).items()}
 
 
-def differing_of(ds: xr.Dataset) -> list[Differing]:
-    """Return the fixed parameters whose values differ from the defaults."""
-    differing: list[Differing] = _read(ds, "differing", [])
+def differing_of(ds: xr.Dataset) -> list[dict[str, Any]]:
+    """Return name, symbol, units, value and default of the fixed parameters that differ from the default."""
+    differing: list[dict[str, Any]] = _read(ds, "differing", [])
     return differing
 
 
