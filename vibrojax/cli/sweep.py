@@ -18,14 +18,8 @@ if TYPE_CHECKING:
 
 _DASK, _SLURM = "dask://", "slurm"
 
-SCHEDULER_TIMEOUT = "10 s"
-"""Maximum time to wait for a response of the scheduler."""
-
 MAX_JOBS = 1000
 """Maximum number of SLURM jobs at a time; a larger number is assumed to be a typing error."""
-
-DEFAULT_JOBS = 10
-"""Number of SLURM jobs at a time if the option specifies none."""
 
 
 @command(
@@ -118,7 +112,7 @@ def _read_workers(text: str | None) -> "Callable[[Path], AbstractContextManager[
     if kind == _SLURM and (not colon or (count.isdecimal() and 1 <= int(count) <= MAX_JOBS)):
         from vibrojax.maps.executor import slurm_executor
 
-        return lambda out: slurm_executor(out.with_name(out.name + ".jobs").absolute(), int(count or DEFAULT_JOBS))
+        return lambda out: slurm_executor(out.with_name(out.name + ".jobs").absolute(), int(count or 10))
     raise InputError(f"--workers: {shown(text)} is not dask://HOST:PORT, slurm or slurm:N (N from 1 to {MAX_JOBS})")
 
 
@@ -131,7 +125,7 @@ def _dask_executor(address: str) -> "Iterator[Executor]":
     except ImportError:
         raise InputError(f'{place}: dask is not installed; pip install "vibrojax[dask]"') from None
     try:
-        client = Client(f"tcp://{address}", timeout=SCHEDULER_TIMEOUT, set_as_default=False)
+        client = Client(f"tcp://{address}", timeout="10 s", set_as_default=False)
     except (OSError, ValueError) as error:  # asyncio's TimeoutError is an OSError
         problem = f"no scheduler of dask answers there ({first_line(error)}); start one: dask scheduler"
         raise InputError(f"{place}: {problem}") from None

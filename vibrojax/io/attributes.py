@@ -48,8 +48,7 @@ def text_of(ds: xr.Dataset, name: str, otherwise: str = "") -> str:
 
 def run_of(ds: xr.Dataset) -> dict[str, Any]:
     """Return the run settings (empty if missing); `settle` [s], `observe` [s] and `error` are numbers where present."""
-    run: dict[str, Any] = _read(ds, "run", {})
-    return run
+    return dict(_read(ds, "run", {}))
 
 
 def parameters_of(ds: xr.Dataset) -> dict[str, float]:
@@ -64,8 +63,7 @@ def parameter_units_of(ds: xr.Dataset) -> dict[str, str]:
 
 def differing_of(ds: xr.Dataset) -> list[dict[str, Any]]:
     """Return name, symbol, units, value and default of the fixed parameters that differ from the default."""
-    differing: list[dict[str, Any]] = _read(ds, "differing", [])
-    return differing
+    return list(_read(ds, "differing", []))
 
 
 def hole_radius_of(ds: xr.Dataset) -> float | None:
@@ -88,8 +86,7 @@ def attribute_of(ds: xr.Dataset, name: str) -> Any:
 
 def table_of(ds: xr.Dataset, name: str) -> dict[str, Any]:
     """Return an attribute that holds a JSON object as a dict, empty if the attribute is missing."""
-    table: dict[str, Any] = _read(ds, name, {})
-    return table
+    return dict(_read(ds, name, {}))
 
 
 def lane_count(ds: xr.Dataset) -> int | None:

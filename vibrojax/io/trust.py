@@ -111,8 +111,7 @@ def seal_of(path: Path) -> tuple[bytes, bytes] | None:
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    metadata: dict[str, Any] = json.loads(read_regular(path / METADATA, LARGEST_METADATA))
-    return metadata
+    return dict(json.loads(read_regular(path / METADATA, LARGEST_METADATA)))
 
 
 def _digest(path: Path, leave_out: int = 0) -> bytes:

@@ -41,9 +41,6 @@ AHEAD = 256
 QUEUED = 2
 """Number of chunks submitted at once per known worker, so that no worker waits for its next chunk."""
 
-FUTURE_POLL_SECONDS = 0.2
-"""Interval [s] between two checks of futures other than `concurrent.futures.Future`."""
-
 SLURM_LIMIT_MINUTES = 24 * 60
 """Time limit of a job of SLURM [min] if SBATCH_TIMELIMIT is not set; sites have their own limits."""
 
@@ -157,8 +154,8 @@ def _by_executor(
                 if all(isinstance(future, Future) for future in running):
                     wait(running, return_when=FIRST_COMPLETED)
                 done = [future for future in running if future.done()]
-                if running and not done:
-                    time.sleep(FUTURE_POLL_SECONDS)
+                if running and not done:  # futures of another library
+                    time.sleep(0.2)
                 for future in done:
                     index = running.pop(future)
                     try:
