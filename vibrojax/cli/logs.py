@@ -64,7 +64,8 @@ def fit(options: Options) -> None:
 
     file, by = Path(options.file), options.by or []
     columns, reading, identity = _reading(options, given)
-    identity |= {"data": _digest(file), "along": options.along, "by": ", ".join(by), "fit": True}
+    default, data = _data(file, "fit", "data")
+    identity |= {"data": data, "along": options.along, "by": ", ".join(by), "fit": True}
     identity |= {f"columns.{name}": text for name, text in columns.items()}
 
     def fitted(*_: Path | ExitStack) -> "xarray.Dataset":
@@ -76,7 +77,7 @@ def fit(options: Options) -> None:
             raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
         return law
 
-    ds = result(options, _default(file, "fit", "data"), identity, fitted, reused=False)
+    ds = result(options, default, identity, fitted, reused=False)
     law = ds.dataset
     facts, sources = law_facts(law), [] if options.quiet else log_lines(law)
     lane = f"a row of {file.name}" if "columns" in law.attrs else WORDS["lane"]
@@ -104,29 +105,23 @@ def _reading(options: Options, words: list[str]) -> tuple[dict[str, str], dict[s
     return columns, reading, {name: "; ".join(words) for name, words in reading.items() if words}
 
 
-def _default(file: Path, kind: str, key: str) -> str:
-    """Return the name of a result, which states the ending of the data where another file's result has the name.
+def _data(file: Path, kind: str, key: str) -> tuple[str, str]:
+    """Return the name of a result of a file's data, and the data as its identity states them: name and digest.
 
-    `key`: entry of an identity that names the data.
-    """
-    from vibrojax.io.identity import stored_identity
-
-    name = f"{file.stem}-{kind}.nc"
-    source = str((stored_identity(Path(name)) or {}).get(key, file.name)).partition(", sha256 ")[0]
-    return name if source == file.name else f"{file.stem}-{file.suffix[1:]}-{kind}.nc"
-
-
-def _digest(file: Path) -> str:
-    """Return a file's name with a digest of its data.
-
-    The digest is that of the identity of a dataset, which a repeated run keeps, or of the content of another file.
+    The digest is that of the identity of a dataset, which a repeated run keeps, or of the content of another file. The
+    name states the ending of the data where a result of another file, with other data under `key`, has the name.
     """
     from vibrojax.io.identity import digest, stored_identity
 
     identity = stored_identity(file) if file.suffix == ".nc" else None
-    content = file.read_bytes() if file.is_file() else b""
-    text = digest(identity) if identity is not None else hashlib.sha256(content).hexdigest()
-    return f"{file.name}, sha256 {text[:12]}"
+    text = digest(identity) if identity is not None else hashlib.sha256().hexdigest()
+    if identity is None and file.is_file():
+        with open(file, "rb") as content:
+            text = hashlib.file_digest(content, "sha256").hexdigest()
+    name = f"{file.stem}-{kind}.nc"
+    source = str((stored_identity(Path(name)) or {}).get(key, file.name)).partition(", sha256 ")[0]
+    name = name if source == file.name else f"{file.stem}-{file.suffix[1:]}-{kind}.nc"
+    return name, f"{file.name}, sha256 {text[:12]}"
 
 
 @command(
@@ -149,11 +144,8 @@ def rig(options: Options) -> None:
 
     file, units = Path(options.file), options.units or "driller"
     columns, reading, given = _reading(options, list(options.columns or []))
-    identity = {"rig": _digest(file), "units": units, **given, **columns}
+    default, data = _data(file, "rig", "rig")
+    identity = {"rig": data, "units": units, **given, **columns}
 
-    result(
-        options,
-        _default(file, "rig", "rig"),
-        identity,
-        lambda *_: measures(file, columns, **reading, units=units),
-    ).print(options)
+    ds = result(options, default, identity, lambda *_: measures(file, columns, **reading, units=units))
+    ds.print(options)

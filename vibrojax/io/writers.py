@@ -146,18 +146,16 @@ class InMemory:
         `chunk` is the shape of a region, along the first dimensions of every variable. Variables whose names are in
         `plain` are not compressed.
         """
-        self.dataset = template
-        self._arrays = {str(name): np.empty(data.shape, data.dtype) for name, data in template.data_vars.items()}
+        data = template.data_vars.items()
+        self.dataset = template.copy(data={name: np.empty(x.shape, x.dtype) for name, x in data})
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         """Write values of a variable: within `box` along its first dimensions, and all along its other dimensions."""
-        self._arrays[name][box] = values
+        self.dataset.variables[name].values[box] = values
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
         """Complete the dataset with its attributes, after all values have been written."""
-        variables = {name: self.dataset.variables[name] for name in self._arrays}
-        columns = {name: (variables[name].dims, x, variables[name].attrs) for name, x in self._arrays.items()}
-        self.dataset = self.dataset.assign(columns).assign_attrs(attributes)
+        self.dataset = self.dataset.assign_attrs(attributes)
 
 
 class _Netcdf:
