@@ -76,7 +76,7 @@ class Store:
             file.comment = owner
             for name, x in arrays.items():
                 file.writestr(zipfile.ZipInfo(json.dumps([name, x.dtype.str, x.shape])), x.tobytes())  # without a date
-        self._put(path, content.getbuffer())
+        self.put(path, content.getbuffer())
 
     def read(self, index: int) -> dict[str, np.ndarray] | None:
         """Return the arrays of a chunk by name; None, with a warning on stderr, if the file is missing or damaged."""
@@ -99,11 +99,6 @@ class Store:
         print(f"vibrojax: warning: {path}: {problem}; computed again", file=sys.stderr)
         return None
 
-    def write_manifest(self) -> None:
-        """Store the manifest, to which all chunks belong."""
-        content = {"sha256": self._digest, "manifest": self.manifest}
-        self._put(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
-
     def clear(self, chunks: bool) -> None:
         """Remove leftovers of killed processes and, with `chunks`, the finished chunks; other files stay."""
         for path in self.folder.iterdir():
@@ -120,7 +115,7 @@ class Store:
         """Return the path of a chunk, and its owner: the digest of the manifest, with the index."""
         return self.folder / f"chunk-{index:08d}.zip", f"{self._digest} {index}".encode()
 
-    def _put(self, path: Path, content: bytes | memoryview) -> None:
+    def put(self, path: Path, content: bytes | memoryview) -> None:
         """Write a file that is complete or absent, even after a power failure."""
         temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
         try:
@@ -173,7 +168,8 @@ def open_store(folder: Path, manifest: Mapping[str, object], resume: bool) -> It
             advice = "--fresh starts over, or give another output"
             raise InputError(f"{folder}: holds chunks of another sweep: {differences}; {advice}")
         store.clear(chunks=not resume)
-        store.write_manifest()
+        content = {"sha256": digest(store.manifest), "manifest": store.manifest}
+        store.put(path, json.dumps(content, indent=1).encode())
         yield store
     finally:
         lock.release()
