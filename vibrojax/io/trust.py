@@ -50,7 +50,6 @@ LARGEST_METADATA = 64 * 2**20
 
 _SIZE = hashlib.sha256().digest_size
 _LENGTH = len(MAGIC) + 2 * _SIZE
-_PIECE = 1 << 20
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _END_ADDRESS = {0: 40, 1: 44, 2: 28, 3: 28}
@@ -119,7 +118,7 @@ def _digest(path: Path, leave_out: int = 0) -> bytes:
     if not path.is_dir():
         digest, size = hashlib.sha256(), os.path.getsize(path) - leave_out
         with open(path, "rb") as file:
-            while size > 0 and (piece := file.read(min(_PIECE, size))):
+            while size > 0 and (piece := file.read(min(1 << 20, size))):
                 digest.update(piece)
                 size -= len(piece)
         return digest.digest()
@@ -165,19 +164,11 @@ PROCESSOR_SECONDS, SLOWEST = 6.0, 2e7
 _OVERLOAD = 5.0
 """Ratio of elapsed time to processor time above which a file that does not end is given up."""
 
-FORMAT_3 = "zarr.json"
-"""Name of the files with the metadata of a Zarr store of format 3."""
-
 TYPES = re.compile(r"[<>|][biufSU]\d+")
 """Types of values: booleans, integers, floats, and strings of fixed length."""
 
-TEXT = ("|O", "vlen-utf8")
-"""Type and filter of strings of variable length."""
-
 COMPRESSORS = ("blosc", "zstd", "zlib", "gzip", "bz2", "lz4")
 """Compressors that only decompress; others may run code."""
-
-_SCRIPT = Path(__file__).with_name("untrusted_copy.py")
 
 
 @contextmanager
@@ -227,7 +218,8 @@ def _copied(path: Path, copy: Path) -> bool:
     size = sum(file.stat().st_size for file in path.rglob("*")) if path.is_dir() else path.stat().st_size
     seconds = PROCESSOR_SECONDS + size / SLOWEST
     limits = (f"{LAZY_FROM:g}", str(MOST_PACKED), f"{seconds:.0f}")
-    words = [sys.executable, "-P", str(_SCRIPT), str(path.absolute()), str(copy), *limits]
+    script = Path(__file__).with_name("untrusted_copy.py")
+    words = [sys.executable, "-P", str(script), str(path.absolute()), str(copy), *limits]
     try:
         ended = subprocess.run(
             words, stdin=subprocess.DEVNULL, capture_output=True, check=False, timeout=_OVERLOAD * seconds
@@ -249,7 +241,7 @@ def check_store(path: Path) -> None:
     for file in path.rglob("*"):
         if file.is_symlink() or not (file.is_file() or file.is_dir()):
             raise InputError(f"{path}: {shown(file.name)} is a link or a device; a store has files and folders only")
-        if file.name == FORMAT_3:
+        if file.name == "zarr.json":
             raise InputError(f"{path}: is a Zarr store of format 3; write it with zarr_format=2")
     try:
         entries = json.loads(read_regular(path / METADATA, LARGEST_METADATA))["metadata"].items()
@@ -264,7 +256,8 @@ def check_store(path: Path) -> None:
         filters, compressor = about.get("filters") or [], about.get("compressor")
         codecs = [codec.get("id") if isinstance(codec, dict) else codec for codec in filters]
         used = compressor.get("id") if isinstance(compressor, dict) else compressor
-        is_text, dtype, what = (about.get("dtype"), *codecs) == TEXT, str(about.get("dtype")), ""
+        is_text = (about.get("dtype"), *codecs) == ("|O", "vlen-utf8")  # strings of variable length
+        dtype, what = str(about.get("dtype")), ""
         if not is_text and not TYPES.fullmatch(dtype):
             what = f"values of the type {shown(dtype)}; datasets hold numbers and text"
         elif codecs and not is_text:
