@@ -1,6 +1,6 @@
 """The command `vibrojax`: parses arguments, calls functions and prints results.
 
-Nothing heavy is imported until a command runs, so that `--help` responds immediately.
+Nothing heavy is imported until a command runs, or a study shows its help, so that `--help` responds immediately.
 """
 
 import ctypes
