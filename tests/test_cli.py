@@ -13,10 +13,6 @@ from refusals import command_refusal
 
 import vibrojax as vj
 from vibrojax.cli import _COMMANDS, main
-from vibrojax.cli.studies import DeclaredSetting, declared
-from vibrojax.settings.fields import meanings
-from vibrojax.studies import HOMES
-from vibrojax.studies.analysis import analysis_named
 from vibrojax.studies.summary import summarise, summary_lines
 
 ROOT = Path(__file__).parents[1]
@@ -31,31 +27,20 @@ def here(here):
 
 
 def test_help_imports_nothing_heavy():
-    """The help of a study names the settings that its source declares, without importing it."""
+    """The help of all commands together imports no library; that of a study names its settings."""
     code = "import sys; from vibrojax.cli import _COMMANDS, main; "
-    code += "calls = [['--version'], ['--help'], *([name, '--help'] for name in _COMMANDS)]; "
-    code += "print([main(call) for call in calls], {'jax', 'numpy', 'xarray', 'matplotlib'} & set(sys.modules))"
+    code += "print([main([word]) for word in ('--version', '--help')], "
+    code += "{'jax', 'numpy', 'xarray', 'matplotlib'} & set(sys.modules)); "
+    code += "print([main([name, '--help']) for name in _COMMANDS])"
     completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     out = completed.stdout
-    assert out.splitlines()[-1] == f"{[0] * (2 + len(_COMMANDS))} set()", out + completed.stderr
+    assert {"[0, 0] set()", f"{[0] * len(_COMMANDS)}"} <= set(out.splitlines()), out + completed.stderr
     for words in (
         "scan (number of pushes per scan and direction; default: 256)",
         "--axes X,Y",
         "settle (simulated time before the observation",
     ):
         assert words in " ".join(out.split()), out
-
-
-def test_source_declares_what_the_class_has():
-    """`--help` reads the source, a run the class: settings, their meanings and the attributes of commands agree."""
-    attributes = ("subject", "file", "lists", "tolerances", "terms", "scenes", "run_settings", "about", "columns")
-    for kind, home in HOMES.items():
-        module, _, name = home.partition(":")
-        source, analysis = declared(f"vibrojax.studies.{module}")[name], type(analysis_named(kind))
-        settings = {key: value.help for key, value in source.items() if isinstance(value, DeclaredSetting)}
-        assert settings == meanings(analysis), kind
-        for attribute in attributes:
-            assert source.get(attribute) == getattr(analysis, attribute, None), (kind, attribute)
 
 
 def test_processes_of_the_command(tmp_path):

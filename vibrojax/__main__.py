@@ -1,4 +1,3 @@
-# PYTHON_ARGCOMPLETE_OK
 """Entry point of `python -m vibrojax`, which is equivalent to the command `vibrojax`."""
 
 from vibrojax.cli import command

@@ -114,6 +114,11 @@ def counted(number: SupportsInt, singular: str, plural: str = "") -> str:
     return f"{number} {singular if number == 1 else plural or singular + 's'}"
 
 
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's message, or the name of its class if it has none."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
 def printable(text: object, longest: int | None = None, keep_spaces: bool = False) -> str:
     """Return a string on one line, shortened to `longest` characters.
 

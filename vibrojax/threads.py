@@ -72,8 +72,7 @@ def _pool(workers: tuple[Any, ...]) -> Tasks:
     return tasks
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # the child has none of the threads
+os.register_at_fork(after_in_child=_pool.cache_clear)  # the child has none of the threads
 
 
 def in_own_thread(work: Callable[[], Result]) -> Result:

@@ -1,6 +1,6 @@
 """The command `vibrojax`: parses arguments, calls functions and prints results.
 
-Nothing heavy is imported until a command runs, so that `--help` responds immediately.
+Nothing heavy is imported until a command runs, or a study shows its help, so that `--help` responds immediately.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ import traceback
 import warnings
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from typing import NoReturn
 
 from vibrojax.cli.arguments import Command, Options, either, flag
@@ -30,7 +30,6 @@ from vibrojax.threads import asked_to_end, in_own_thread, leave
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED, PIPE_CLOSED, TERMINATED = 0, 1, 2, 130, 141, 143
 
-_DATASETS = (".nc", ".zarr")
 _MALFORMED = (ArithmeticError, AssertionError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """Exceptions that a dataset with inconsistent parts causes in code that does not check the dataset."""
 
@@ -95,7 +94,7 @@ def command() -> None:
         signal.signal(signal.SIGTERM, lambda *_: _end(Terminated()))
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: _end(KeyboardInterrupt()))
-    warnings.showwarning = _warn
+    warnings.showwarning = lambda message, *_, **__: _write(f"warning: {message}")
     gc.set_threshold(COLLECTED_AFTER, *gc.get_threshold()[1:])
     with suppress(AttributeError, OSError, TypeError):  # without glibc
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
@@ -139,7 +138,7 @@ def main(argv: Sequence[str] | None = None, do: Callable[[Callable[[], None]], o
             command = _command_of(options.command)
             assert command is not None  # the parser knows it
             run = command.run
-            with _verbosely(options):
+            with _verbosely() if options.verbose else nullcontext():
                 do(lambda: _run(run, options))
         sys.stdout.flush()
         return DONE
@@ -175,7 +174,7 @@ def _run(run: Callable[[Options], None], options: Options) -> None:
         packages = {entry.module.partition(".")[0] for entry in offered_analyses().values()} - {"vibrojax"}
         modules = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
         own = next((name for name in modules if name.partition(".")[0] in packages), None)
-        if not own and not file.endswith(_DATASETS):
+        if not own and not file.endswith((".nc", ".zarr")):
             raise
         LOG.info("%s", "".join(traceback.format_exception(error)))
         about = f"{type(error).__name__}: {printable(error, 200)}"
@@ -220,14 +219,10 @@ def _parser(words: Sequence[str]) -> ArgumentParser:
 
 
 @contextmanager
-def _verbosely(options: Options) -> Iterator[None]:
-    """Show the package's log and the duration of the command on stderr, if `--verbose` is set."""
-    if not options.verbose:
-        yield
-        return
-    handler = logging.StreamHandler()
+def _verbosely() -> Iterator[None]:
+    """Show the package's log and the duration of the command on stderr."""
+    handler, level = logging.StreamHandler(), LOG.level
     handler.setFormatter(logging.Formatter("vibrojax: %(message)s"))
-    level = LOG.level
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
     try:
@@ -244,19 +239,14 @@ def _end(request: BaseException) -> NoReturn:
     raise request
 
 
-def _warn(message: Warning | str, *_: object, **__: object) -> None:
-    """Show a warning on one line of stderr, formatted like the command's errors."""
-    _write(f"vibrojax: warning: {printable(message, MAX_STDERR_LINE)}")
-
-
-def _write(line: str) -> None:
-    """Write a line on stderr at once: `print` writes its end separately, and another thread may write between."""
-    sys.stderr.write(f"{line}\n")
-
-
 def _say(line: str, status: int) -> int:
-    """Print on stderr, on one line, why the command ended with `status`; return `status`."""
+    """Print on stderr why the command ended with `status`; return `status`."""
     end_lines()
     sys.stdout.flush()
-    _write(f"vibrojax: {printable(line, MAX_STDERR_LINE)}")
+    _write(line)
     return status
+
+
+def _write(line: object) -> None:
+    """Write on one line of stderr, at once: `print` writes its end separately, and other threads write as well."""
+    sys.stderr.write(f"vibrojax: {printable(line, MAX_STDERR_LINE)}\n")

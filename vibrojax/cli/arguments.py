@@ -112,31 +112,27 @@ def named_values(
         name, equals, text = (part.strip() for part in word.partition("="))
         if not equals or not name:
             raise place.error(f"{shown(word)} is not NAME=VALUE; write one, like beta=0.4")
-        is_setting = name in settings
+        here, is_setting = place.at(name), name in settings
+        listed = lists and not is_setting
         if name in chosen or name in parameters:
-            several = f", or a list like {name}=0.3,0.4" if lists and not is_setting else ""
-            raise place.at(name).error(f"{shown(text)} is a second value; give one{several}")
+            several = f", or a list like {name}=0.3,0.4" if listed else ""
+            raise here.error(f"{shown(text)} is a second value; give one{several}")
+        value: Any = number_or_name(text)
+        if tolerances and not is_setting and _HALF_WIDTH.search(text):
+            value = _pair(place, word, text)
+        elif text.startswith("["):
+            try:
+                value = list(json.loads(text))
+            except (ValueError, RecursionError):
+                expected = "list; write one like [0.3,0.4]" if listed else "vector; write one like [0,0,0.01,0]"
+                raise here.error(f"{shown(text)} is not a {expected}") from None
+        elif listed and "," in text:
+            value = [number_or_name(part.strip()) for part in text.split(",")]
         if is_setting:
-            value = _value(place.at(name), text, listed=False)
             chosen[name] = int(value) if isinstance(value, float) and value.is_integer() else value
-        elif tolerances and _HALF_WIDTH.search(text):
-            parameters[name] = _pair(place, word, text)
         else:
-            parameters[name] = _value(place.at(name), text, lists)
+            parameters[name] = value
     return chosen, parameters
-
-
-def _value(place: Place, text: str, listed: bool) -> object:
-    """Return a number, a name or a vector; if `listed`, also a list written as 0.3,0.4 or [0.3,0.4]."""
-    if text.startswith("["):
-        try:
-            return list(json.loads(text))
-        except (ValueError, RecursionError):
-            expected = "list; write one like [0.3,0.4]" if listed else "vector; write one like [0,0,0.01,0]"
-            raise place.error(f"{shown(text)} is not a {expected}") from None
-    if listed and "," in text:
-        return [number_or_name(part.strip()) for part in text.split(",")]
-    return number_or_name(text)
 
 
 def _pair(place: Place, word: str, text: str) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from vibrojax.cli.arguments import JSON, MANY, Options, argument, command, flag, named_values, number_or_name, words
-from vibrojax.cli.output import PICTURES, View, print_json, shortened
+from vibrojax.cli.output import PICTURES, print_json, shortened, view_file, write_view
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.progress import timed
 from vibrojax.threads import on_leaving
@@ -69,11 +69,11 @@ def plot(options: Options) -> None:
         parts = [*shortened(options.variable or ()), *filter(None, [options.diagram]), *shortened(places)]
         parts += filter(None, [options.colours, options.width])
         parts += ["over", *shortened([name.stem for name in above])] if above else []
-        view = View.of(options, path, PICTURES, parts)
+        view = view_file(options, path, PICTURES, parts)
         choices = options.variable, where, options.colours, over, options.diagram, options.width
         notes: list[str] = []
         with timed("draw"):
-            picture, replaces = view.write(lambda path: notes.append(save_picture(dataset, path, *choices)))
+            picture, replaces = write_view(*view, lambda path: notes.append(save_picture(dataset, path, *choices)))
     notes += ["replaces another picture"] if replaces and not options.out else []
     if not options.quiet:
         print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))
@@ -128,7 +128,7 @@ def explore(options: Options) -> None:
     if is_scene and options.over:
         raise InputError("explore: --over: a motion has no map to lay curves over; leave it out")
     parts = ["over", Path(options.over).stem] if options.over else []
-    view = None if options.live else View.of(options, path, (".html",), parts)
+    view = None if options.live else view_file(options, path, (".html",), parts)
     from vibrojax.explorer.live import serve
     from vibrojax.explorer.write import write_page
     from vibrojax.io.dataset import open_dataset
@@ -149,7 +149,7 @@ def explore(options: Options) -> None:
                 live = serve(dataset, over, progress=progress)
             else:
                 with timed("compute and write"):
-                    out, replaces = view.write(lambda page: write_page(dataset, page, over, progress=progress))
+                    out, replaces = write_view(*view, lambda page: write_page(dataset, page, over, progress=progress))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
     if view is None:
@@ -170,9 +170,7 @@ def _serve(options: Options, live: Any) -> None:
         # Who reads the address may end the command at once; then nothing else is being written.
         print(live.url, flush=True)
         # Without a display, some browsers open in the terminal.
-        has_display = (
-            sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        )
+        has_display = sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         if not options.no_browser and has_display:
             # All users of a computer see the arguments of a browser, so the address is in a file of this user.
             redirect = Path(private.name) / "page.html"

@@ -1,7 +1,7 @@
 """Commands that read rig logs: fits of the rate-of-penetration law, and measures of a log."""
 
 import hashlib
-from contextlib import nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,6 @@ from vibrojax.progress import timed
 from vibrojax.studies import WORDS
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
     import xarray
 
 _READING = (
@@ -66,19 +64,20 @@ def fit(options: Options) -> None:
 
     file, by = Path(options.file), options.by or []
     columns, reading, identity = _reading(options, given)
-    identity |= {"data": _digest(file), "along": options.along, "by": ", ".join(by), "fit": True}
+    default, data = _data(file, "fit", "data")
+    identity |= {"data": data, "along": options.along, "by": ", ".join(by), "fit": True}
     identity |= {f"columns.{name}": text for name, text in columns.items()}
 
-    def fitted(_: Path) -> "AbstractContextManager[xarray.Dataset]":
+    def fitted(*_: Path | ExitStack) -> "xarray.Dataset":
         with timed("fit"):
             law = fit_rop(options.file, options.along, by, progress=False, columns=columns, **reading)
         if (law["data_use"] == USES.index("censored")).any() and not (law["data_use"] == USES.index("fitted")).any():
             lanes = counted(int((law["data_use"] > 0).sum()), "lane")
             more = "" if file.suffix == ".csv" else f"; vibrojax info {file} says what would give a rate"
             raise InputError(f"{file}: nothing penetrates in any of {lanes}, so there is no rate to fit{more}")
-        return nullcontext(law)
+        return law
 
-    ds = result(options, _default(file, "fit", "data"), identity, fitted, reused=False)
+    ds = result(options, default, identity, fitted, reused=False)
     law = ds.dataset
     facts, sources = law_facts(law), [] if options.quiet else log_lines(law)
     lane = f"a row of {file.name}" if "columns" in law.attrs else WORDS["lane"]
@@ -106,29 +105,23 @@ def _reading(options: Options, words: list[str]) -> tuple[dict[str, str], dict[s
     return columns, reading, {name: "; ".join(words) for name, words in reading.items() if words}
 
 
-def _default(file: Path, kind: str, key: str) -> str:
-    """Return the name of a result, which states the ending of the data where another file's result has the name.
+def _data(file: Path, kind: str, key: str) -> tuple[str, str]:
+    """Return the name of a result of a file's data, and the data as its identity states them: name and digest.
 
-    `key`: entry of an identity that names the data.
-    """
-    from vibrojax.io.identity import stored_identity
-
-    name = f"{file.stem}-{kind}.nc"
-    source = str((stored_identity(Path(name)) or {}).get(key, file.name)).partition(", sha256 ")[0]
-    return name if source == file.name else f"{file.stem}-{file.suffix[1:]}-{kind}.nc"
-
-
-def _digest(file: Path) -> str:
-    """Return a file's name with a digest of its data.
-
-    The digest is that of the identity of a dataset, which a repeated run keeps, or of the content of another file.
+    The digest is that of the identity of a dataset, which a repeated run keeps, or of the content of another file. The
+    name states the ending of the data where a result of another file, with other data under `key`, has the name.
     """
     from vibrojax.io.identity import digest, stored_identity
 
     identity = stored_identity(file) if file.suffix == ".nc" else None
-    content = file.read_bytes() if file.is_file() else b""
-    text = digest(identity) if identity is not None else hashlib.sha256(content).hexdigest()
-    return f"{file.name}, sha256 {text[:12]}"
+    text = digest(identity) if identity is not None else hashlib.sha256().hexdigest()
+    if identity is None and file.is_file():
+        with open(file, "rb") as content:
+            text = hashlib.file_digest(content, "sha256").hexdigest()
+    name = f"{file.stem}-{kind}.nc"
+    source = str((stored_identity(Path(name)) or {}).get(key, file.name)).partition(", sha256 ")[0]
+    name = name if source == file.name else f"{file.stem}-{file.suffix[1:]}-{kind}.nc"
+    return name, f"{file.name}, sha256 {text[:12]}"
 
 
 @command(
@@ -151,9 +144,8 @@ def rig(options: Options) -> None:
 
     file, units = Path(options.file), options.units or "driller"
     columns, reading, given = _reading(options, list(options.columns or []))
-    identity = {"rig": _digest(file), "units": units, **given, **columns}
+    default, data = _data(file, "rig", "rig")
+    identity = {"rig": data, "units": units, **given, **columns}
 
-    def measured(_: Path) -> "AbstractContextManager[xarray.Dataset]":
-        return nullcontext(measures(file, columns, **reading, units=units))
-
-    result(options, _default(file, "rig", "rig"), identity, measured).print(options)
+    ds = result(options, default, identity, lambda *_: measures(file, columns, **reading, units=units))
+    ds.print(options)

@@ -7,7 +7,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -85,36 +85,32 @@ def _numbered(default: Path, is_result: Callable[[Path], bool], fresh: bool = Fa
 # Pictures and pages.
 
 
-class View(NamedTuple):
-    """A picture or page of a dataset: its path, and whether it gets a number where it would replace another one."""
+def view_file(options: Options, file: Path, endings: Sequence[str], parts: Sequence[str]) -> tuple[Path, bool]:
+    """Return the path of a picture or page of a dataset, and whether it gets a number where it would replace another.
 
-    path: Path
-    is_numbered: bool
+    The path is that of `-o`, or else the dataset's with `parts` in its name and the first of the `endings`.
 
-    @classmethod
-    def of(cls, options: Options, file: Path, endings: Sequence[str], parts: Sequence[str]) -> "View":
-        """Return the view at `-o`, or else at the dataset's name with `parts` and the first of the `endings`.
+    **Raises:** `InputError` if the name has none of the `endings`, or the file cannot be written.
+    """
+    name = "-".join([file.stem, *(re.sub(r"[^\w.+-]+", "_", part) for part in parts)])
+    default = file.with_name(name[:NAME_MAX_CHARACTERS] + endings[0])
+    is_numbered = bool(parts) and not options.out
+    return output(options.out or default, endings, numbered=is_numbered), is_numbered
 
-        **Raises:** `InputError` if the name has none of the `endings`, or the file cannot be written.
-        """
-        name = "-".join([file.stem, *(re.sub(r"[^\w.+-]+", "_", part) for part in parts)])
-        default = file.with_name(name[:NAME_MAX_CHARACTERS] + endings[0])
-        is_numbered = bool(parts) and not options.out
-        return cls(output(options.out or default, endings, numbered=is_numbered), is_numbered)
 
-    def write(self, draw: Callable[[Path], object]) -> tuple[Path, bool]:
-        """Write the view with the function `draw`; return its path, and whether it replaces another one."""
-        before = self.path.read_bytes() if self.path.is_file() else None
-        if before is None or not self.is_numbered:
-            draw(self.path)
-            return self.path, before is not None and before != self.path.read_bytes()
-        with tempfile.TemporaryDirectory(prefix=".vibrojax-", dir=self.path.parent) as folder:
-            part = Path(folder) / self.path.name
-            draw(part)
-            content = part.read_bytes()
-            path = _numbered(self.path, lambda other: other.is_file() and other.read_bytes() == content)
-            os.replace(part, path)
-        return path, False
+def write_view(file: Path, is_numbered: bool, draw: Callable[[Path], object]) -> tuple[Path, bool]:
+    """Write a view of `view_file` with the function `draw`; return its path, and whether it replaces another one."""
+    before = file.read_bytes() if file.is_file() else None
+    if before is None or not is_numbered:
+        draw(file)
+        return file, before is not None and before != file.read_bytes()
+    with tempfile.TemporaryDirectory(prefix=".vibrojax-", dir=file.parent) as folder:
+        part = Path(folder) / file.name
+        draw(part)
+        content = part.read_bytes()
+        path = _numbered(file, lambda other: other.is_file() and other.read_bytes() == content)
+        os.replace(part, path)
+    return path, False
 
 
 def shortened(words: Sequence[str]) -> list[str]:
@@ -157,7 +153,7 @@ def result(
     options: Options,
     default: str,
     identity: Mapping[str, object],
-    computed: Callable[[Path], "AbstractContextManager[xarray.Dataset]"],
+    computed: Callable[[Path, ExitStack], "xarray.Dataset"],
     *,
     endings: Sequence[str] = (".nc",),
     numbered: bool = False,
@@ -172,8 +168,8 @@ def result(
 
     - `default`: name of the file without `-o`; `endings`: the accepted ones. `numbered`: whether results without `-o`
       get a number where they would replace others.
-    - `computed`: function of the path of the file that returns a context manager of the dataset. The context ends when
-      the dataset is written. `written`: whether it has been written already.
+    - `computed`: function of the path of the file that returns the dataset. Contexts that it enters into the stack end
+      when the dataset is written. `written`: whether it has been written already.
     - `reused`: False if the identity does not say everything on which the result depends.
     - `counted`: function of the dataset that says in the last line how much there is of what. `variables`: those that
       the picture shows, as far as the dataset has them; empty: those that fit it.
@@ -201,7 +197,8 @@ def result(
             drawn = f"; picture {picture}" if picture.exists() else draw(options, dataset, out, variables)
             known = f"is there already ({dataset.attrs['source']}); it is not computed again without --fresh"
             return Result(dataset, out, f"{out}: {known}{drawn}")
-    with computed(out) as dataset:
+    with ExitStack() as until_written:
+        dataset = computed(out, until_written)
         if not written:
             out = file() if numbered else out  # another process may have taken the number
             with timed("write"):

@@ -1,17 +1,11 @@
-"""Commands of studies: those that follow from the class of an analysis, and the commands of the others.
+"""Commands of studies: those that follow from the class of an analysis, and the commands of the others."""
 
-The arguments of a command follow from what the source of a study declares, without importing it: a study imports
-xarray, SciPy or jax, which takes longer than everything else that `--help` does.
-"""
-
-import ast
 import re
 from argparse import RawDescriptionHelpFormatter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
-from functools import cache
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from vibrojax.cli.arguments import (
     KEPT,
@@ -36,8 +30,6 @@ if TYPE_CHECKING:
 
     import xarray
 
-    from vibrojax.studies.analysis import Analysis
-
 START = "start (a name, or [x1,x1',x2,x2'])"
 LISTS = (
     "; a list such as beta=0.3,0.4,0.5 defines several machines, computed together; with several lists, each machine "
@@ -49,75 +41,72 @@ TOLERANCES = (
 
 
 def study_command(kind: str, summary: str = "") -> Command:
-    """Return the command of a kind of analysis, which is imported when the command runs.
+    """Return the command of a kind of analysis.
 
-    `summary`: by default, the first line of the docstring of the class.
+    Its class is imported when the command runs or shows its help: an import takes longer than `vibrojax --help`, which
+    shows the first line of its docstring. `summary` stands for that line where its source is not in this package.
     """
+    if kind in HOMES:
+        module, _, name = HOMES[kind].partition(":")
+        source = Path(__file__).parents[1].joinpath("studies", f"{module}.py").read_text(encoding="utf-8")
+        match = re.search(rf'^class {name}\b[^:]*:\n    """(.+?)\.?("""|\n)', source, re.MULTILINE)
+        summary = match[1] if match else ""
 
     def add(parser: Any) -> None:
-        about = declared(module)[name] if kind in HOMES else _of_class(kind)
-        if kind not in HOMES:
-            parser.description = str(_class_of(kind).__doc__ or summary).splitlines()[0].rstrip(".")
-        if about["subject"] == "machines" and about["terms"]:
+        about = _class_of(kind)
+        parser.description = str(about.__doc__ or summary).splitlines()[0].rstrip(".")
+        if about.subject == "machines" and about.terms:
             parser.formatter_class = RawDescriptionHelpFormatter
-            parser.epilog = f"words used in the output:\n{glossary(*about['terms'])}"
-        for add_argument in _arguments(kind, about):
+            parser.epilog = f"words used in the output:\n{glossary(*about.terms)}"
+        for add_argument in _arguments(about):
             add_argument(parser)
 
-    module, _, name = f"vibrojax.studies.{HOMES.get(kind, '')}".partition(":")
-    return Command(summary or summary_of(module, name), (add,), lambda options: _run(kind, options))
+    return Command(summary, (add,), lambda options: _run(_class_of(kind), options))
 
 
-def _of_class(kind: str) -> Mapping[str, Any]:
-    """Return attributes and settings of an analysis of another package by name, as `declared` does of this one's."""
-    from vibrojax.settings.fields import settings_of
-
-    analysis = _class_of(kind)
-    settings = {
-        name: DeclaredSetting(item.metadata.get("help", ""), item.default, item.metadata.get("metavar"))
-        for name, item in settings_of(analysis).items()
-    }
-    return settings | {name: getattr(analysis, name) for name in dir(analysis) if name not in settings}
-
-
-def _class_of(kind: str) -> "type[Analysis]":
+def _class_of(kind: str) -> Any:
+    """Return the class of an analysis; the attributes that its command needs depend on its subject."""
     from vibrojax.studies.analysis import analysis_named
 
-    analysis = analysis_named(kind)
-    assert analysis is not None  # commands exist only for known kinds
-    return type(analysis)
+    return type(analysis_named(kind))
 
 
-def _arguments(kind: str, about: Mapping[str, Any]) -> Iterator[AddArguments]:
-    """Yield the arguments of the command of an analysis with the attributes `about`."""
-    settings = {name: value for name, value in about.items() if isinstance(value, DeclaredSetting)}
-    if about["subject"] == "machines":
-        yield argument("scene", "SCENE", about["scenes"])
-        run = declared("vibrojax.settings.run_settings")["RunSettings"]
-        text = f"parameters, and friction{LISTS * about['lists']}{TOLERANCES * about['tolerances']}. Also {START}"
-        for name, setting in (settings | {name: run[name] for name in about["run_settings"]}).items():
-            if setting.help:
-                default = f"; default: {setting.default:g}" if isinstance(setting.default, (int, float)) else ""
-                text += f"; {name} ({setting.help}{default})"
+def _arguments(about: Any) -> Iterator[AddArguments]:
+    """Yield the arguments of the command of an analysis."""
+    from vibrojax.settings.fields import settings_of
+    from vibrojax.settings.run_settings import RunSettings
+
+    settings = settings_of(about)
+    if about.subject == "machines":
+        yield argument("scene", "SCENE", about.scenes)
+        run = settings_of(RunSettings)
+        text = f"parameters, and friction{LISTS * about.lists}{TOLERANCES * about.tolerances}. Also {START}"
+        for name, item in (settings | {name: run[name] for name in about.run_settings}).items():
+            if meaning := item.metadata.get("help"):
+                usual = f"; default: {item.default:g}" if isinstance(item.default, (int, float)) else ""
+                text += f"; {name} ({meaning}{usual})"
         yield words(text.replace("%", "%%"))
-    elif about["subject"] == "file":
-        yield argument("file", "FILE", about["about"])
-        if about["columns"]:
-            yield argument("--columns", "NAME=COLUMN", about["columns"], **MANY)
+    elif about.subject == "file":
+        yield argument("file", "FILE", about.about)
+        if about.columns:
+            yield argument("--columns", "NAME=COLUMN", about.columns, **MANY)
     else:
         text = "the dataset of a sweep (.nc); the sweep is run again if the dataset lacks what the analysis needs"
         yield argument("file", "FILE", SWEEP + text)
-        yield from (argument(_option(n), each.metavar or n.upper(), each.help) for n, each in settings.items())
-    yield from result_options(about.get("file") or f"{'SCENE' if about['subject'] == 'machines' else 'NAME'}-{kind}.nc")
+        for name, item in settings.items():
+            metavar = item.metadata.get("metavar") or name.upper()
+            yield argument(_option(name), metavar, item.metadata.get("help", ""))
+    default = f"{'SCENE' if about.subject == 'machines' else 'NAME'}-{about.kind}.nc"
+    yield from result_options(getattr(about, "file", "") or default)
 
 
 def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _run(kind: str, options: Options) -> None:
+def _run(about: Any, options: Options) -> None:
     """Check the input of an analysis; compute and print its result, unless the file of the result holds it."""
-    about: Any = _class_of(kind)
+    kind = about.kind
     if about.subject == "sweep":
         _run_sweep(about, options)
         return
@@ -139,16 +128,15 @@ def _run(kind: str, options: Options) -> None:
         if about.chunks:
             options.advise(KEPT, str(options.command), options.file, "-o", options.out or default)
 
-    def computed(out: Path) -> "nullcontext[xarray.Dataset]":
-        dataset = analysis.compute_beside(request, out, not options.fresh, not options.quiet)
-        return nullcontext(checked_result(analysis, dataset))
+    def computed(out: Path, _: ExitStack) -> "xarray.Dataset":
+        return checked_result(analysis, analysis.compute_beside(request, out, not options.fresh, not options.quiet))
 
     # What the command line alone describes gets a number; the name of a file stands for one result.
     ds = result(options, default, analysis.identity(request), computed, numbered=analysis.subject == "machines")
     ds.print(options, facts=analysis.facts(ds.dataset, request) if options.json else None)
 
 
-def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
+def _run_sweep(about: Any, options: Options) -> None:
     from vibrojax.io.dataset import open_dataset
     from vibrojax.maps.rerun import holds_orbits
     from vibrojax.maps.run import lanes_beside
@@ -156,35 +144,32 @@ def _run_sweep(analysis_class: "type[Analysis]", options: Options) -> None:
     from vibrojax.studies.analysis import analyse, checked_result
     from vibrojax.studies.subjects import SweepAnalysis
 
-    kind, file, progress = analysis_class.kind, str(options.file), not options.quiet
-    given = {name: text for name in settings_of(analysis_class) if (text := getattr(options, name)) is not None}
-    settings = {name: _setting(settings_of(analysis_class)[name], text) for name, text in given.items()}
-    analysis = analysis_class(**settings).checked(Place(kind))
+    kind, file, progress, known = about.kind, str(options.file), not options.quiet, settings_of(about)
+    given = {name: text for name in known if (text := getattr(options, name)) is not None}
+    settings = {name: _setting(known[name], text) for name, text in given.items()}
+    analysis = about(**settings).checked(Place(kind))
     is_dataset = file.endswith(".nc")
     source: Any = open_dataset(Path(file)) if is_dataset else file
     sweep = analysis.sweep(source) if isinstance(analysis, SweepAnalysis) else None
     name = Path(file).stem if sweep is None or is_dataset else sweep.name
 
-    @contextmanager
-    def computed(out: Path) -> "Iterator[xarray.Dataset]":
+    def computed(out: Path, until_written: ExitStack) -> "xarray.Dataset":
         again = [kind, file, "-o", str(out), *(word for name, text in given.items() for word in (_option(name), text))]
-        if not isinstance(analysis, SweepAnalysis) or sweep is None:
+        if sweep is None:
             options.advise("nothing was kept; to begin again", *again)
-            yield analyse(source, analysis, progress=progress)
-            return
-        lanes: Any = nullcontext(source)
+            return analyse(source, analysis, progress=progress)
+        lanes = source
         if not (is_dataset and holds_orbits(source)):
             # Finished chunks are kept next to OUT until the result is written, so an interrupt loses none of them.
             options.advise(KEPT, *again)
-            lanes = lanes_beside(sweep, out, resume=not options.fresh, progress=progress)
-        with lanes as dataset:
-            yield checked_result(analysis, analysis.of_lanes(sweep, dataset, progress))
+            lanes = until_written.enter_context(lanes_beside(sweep, out, not options.fresh, progress))
+        return checked_result(analysis, analysis.of_lanes(sweep, lanes, progress))
 
     def count(dataset: "xarray.Dataset") -> str:
         return f": {dataset.sizes[analysis.counted]} {analysis.counted}s" if analysis.counted else ""
 
     identity: dict[str, object] = {kind: True, "file": file, **{name: str(value) for name, value in settings.items()}}
-    if isinstance(analysis, SweepAnalysis) and sweep is not None:
+    if sweep is not None:
         identity = {**analysis.identity(sweep), **sweep.identity()}
     # The identity of any other analysis states neither its data nor its code: it is computed again.
     result(options, f"{name}-{kind}.nc", identity, computed, reused=sweep is not None, counted=count).print(options)
@@ -223,9 +208,9 @@ def orbits(options: Options) -> None:
     is_dataset = file.endswith(".nc")
     sweep = sweep_with_orbits(open_dataset(Path(file)) if is_dataset else file)
 
-    def computed(out: Path) -> "nullcontext[xarray.Dataset]":
+    def computed(out: Path, _: ExitStack) -> "xarray.Dataset":
         options.advise(KEPT, "orbits", file, "-o", str(out))
-        return nullcontext(run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet))
+        return run_to_file(sweep, out, resume=not options.fresh, progress=not options.quiet)
 
     ds = result(
         options,
@@ -274,7 +259,7 @@ def curves(options: Options) -> None:
         options,
         f"{file.stem}-{spec.by}.nc",
         spec.identity(),
-        lambda _: nullcontext(continue_curves(spec, progress=not options.quiet)),
+        lambda *_: continue_curves(spec, progress=not options.quiet),
         numbered=True,
     )
     ds.print(options, facts=curves_facts(ds.dataset) if options.json else None)
@@ -308,96 +293,3 @@ def accuracy(options: Options) -> None:
     drawn = draw(options, dataset, out)
     if not options.quiet:
         print(f"{table_path}: {dataset.sizes['setting']} settings; dataset {out}{drawn.replace(';', ',', 1)}")
-
-
-# Declarations in the source of studies.
-
-
-PACKAGE = Path(__file__).parents[1]
-
-
-class DeclaredSetting(NamedTuple):
-    """A setting: its meaning, its default (None if the source computes it), and the name of its value in `--help`."""
-
-    help: str = ""
-    default: Any = None
-    metavar: str | None = None
-
-
-def summary_of(module: str, name: str) -> str:
-    """Return the first line of the docstring of a class, without its full stop; parsing the module takes longer."""
-    match = re.search(rf'^class {name}\b[^:]*:\n    """(.+?)\.?("""|\n)', _source(module), re.MULTILINE)
-    return match[1] if match else ""
-
-
-@cache
-def declared(module: str) -> "Declared":
-    """Return the declarations of a module of this package."""
-    return Declared(ast.parse(_source(module)).body)
-
-
-def _source(module: str) -> str:
-    path = PACKAGE.joinpath(*module.split(".")[1:])
-    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-    return path.read_text(encoding="utf-8")
-
-
-class Declared(dict[str, Any]):
-    """The constants and classes of a module, each evaluated when it is looked up.
-
-    A class is a dict of its attributes, with those of its bases. What calls a function is unknown: its name is missing.
-    """
-
-    def __init__(self, body: Sequence[ast.stmt]) -> None:
-        self._definitions = dict(_definitions(body))
-
-    def __missing__(self, name: str) -> Any:
-        self[name] = self._evaluated(name, self._definitions[name])
-        return self[name]
-
-    def _evaluated(self, name: str, node: ast.AST) -> Any:
-        match node:
-            case ast.ImportFrom(module=str(home)) if home.startswith("vibrojax."):
-                return declared(home)[name]
-            case ast.ClassDef():
-                return self._attributes(node)
-            case ast.Call(func=ast.Name(id="setting"), args=[default, meaning]):
-                return DeclaredSetting(self._evaluated("", meaning), self._default(default))
-            case ast.Call(func=ast.Name(id="field"), keywords=keywords):
-                values = {str(keyword.arg): keyword.value for keyword in keywords}
-                about = self._evaluated("", values["metadata"])
-                return DeclaredSetting(about.get("help", ""), self._default(values["default"]), about.get("metavar"))
-            case ast.expr():
-                return eval(compile(ast.Expression(node), "<source>", "eval"), {}, self)
-        raise KeyError(name)
-
-    def _default(self, node: ast.expr) -> Any:
-        with suppress(Exception):
-            return self._evaluated("", node)
-        return None
-
-    def _attributes(self, node: ast.ClassDef) -> dict[str, Any]:
-        attributes: dict[str, Any] = {}
-        for base in node.bases:
-            with suppress(KeyError):  # a class of another package
-                attributes |= self[ast.unparse(base.value if isinstance(base, ast.Subscript) else base)]
-        for name, value in _definitions(node.body):
-            with suppress(Exception):  # pictures and the like, which need functions
-                attributes[name] = self._evaluated(name, value)
-        return attributes
-
-
-def _definitions(body: Sequence[ast.stmt]) -> Iterator[tuple[str, ast.AST]]:
-    """Yield each name that statements define, with its value, class or import."""
-    for node in body:
-        match node:
-            case ast.ImportFrom():
-                yield from ((alias.name, node) for alias in node.names)
-            case ast.ClassDef():
-                yield node.name, node
-            case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr() as value):
-                yield name, value
-            case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                yield name, value
-            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
-                yield from zip(map(ast.unparse, names), values, strict=True)

@@ -1,13 +1,13 @@
 """The command `sweep`, and the executors that `--workers` names."""
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vibrojax.cli.arguments import KEPT, Options, argument, command, either, flag
 from vibrojax.cli.output import ZARR, output, result
-from vibrojax.errors import InputError, counted, shown
+from vibrojax.errors import InputError, counted, first_line, shown
 from vibrojax.io.files import size_text, time_text
 
 if TYPE_CHECKING:
@@ -18,14 +18,8 @@ if TYPE_CHECKING:
 
 _DASK, _SLURM = "dask://", "slurm"
 
-SCHEDULER_TIMEOUT = "10 s"
-"""Maximum time to wait for a response of the scheduler."""
-
 MAX_JOBS = 1000
 """Maximum number of SLURM jobs at a time; a larger number is assumed to be a typing error."""
-
-DEFAULT_JOBS = 10
-"""Number of SLURM jobs at a time if the option specifies none."""
 
 
 @command(
@@ -66,14 +60,12 @@ def sweep(options: Options) -> None:
         _print_cost(plan, output(options.out or default, endings, drawn=True))
         return
 
-    @contextmanager
-    def computed(out: Path) -> "Iterator[xarray.Dataset]":
+    def computed(out: Path, _: ExitStack) -> "xarray.Dataset":
         again = [word for change in options.changes for word in ("--set", change)] + ["-o", str(out)]
         again += ["--workers", options.workers] if options.workers else []
         options.advise(KEPT, "sweep", options.sweep, *again)
         with engine(out) as executor:
-            dataset = run_to_file(plan, out, not options.fresh, progress, executor, meanwhile=_prepare_output)
-        yield dataset
+            return run_to_file(plan, out, not options.fresh, progress, executor, meanwhile=_prepare_output)
 
     each = "a point from one start each" if plan.starts is not None else "a point each"
     result(
@@ -120,7 +112,7 @@ def _read_workers(text: str | None) -> "Callable[[Path], AbstractContextManager[
     if kind == _SLURM and (not colon or (count.isdecimal() and 1 <= int(count) <= MAX_JOBS)):
         from vibrojax.maps.executor import slurm_executor
 
-        return lambda out: slurm_executor(out.with_name(out.name + ".jobs").absolute(), int(count or DEFAULT_JOBS))
+        return lambda out: slurm_executor(out.with_name(out.name + ".jobs").absolute(), int(count or 10))
     raise InputError(f"--workers: {shown(text)} is not dask://HOST:PORT, slurm or slurm:N (N from 1 to {MAX_JOBS})")
 
 
@@ -133,10 +125,10 @@ def _dask_executor(address: str) -> "Iterator[Executor]":
     except ImportError:
         raise InputError(f'{place}: dask is not installed; pip install "vibrojax[dask]"') from None
     try:
-        client = Client(f"tcp://{address}", timeout=SCHEDULER_TIMEOUT, set_as_default=False)
+        client = Client(f"tcp://{address}", timeout="10 s", set_as_default=False)
     except (OSError, ValueError) as error:  # asyncio's TimeoutError is an OSError
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{place}: no scheduler of dask answers there ({reason}); start one: dask scheduler") from None
+        problem = f"no scheduler of dask answers there ({first_line(error)}); start one: dask scheduler"
+        raise InputError(f"{place}: {problem}") from None
     with client:
         yield client.get_executor()
 

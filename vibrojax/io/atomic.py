@@ -31,9 +31,7 @@ def atomic_write(path: Path, ending: str = "tmp") -> Iterator[Path]:
     that this package has not written.
     """
     check_ours(path)
-    for leftover in _leftovers(path, ending):
-        _remove(leftover)
-    part = _temporary(path, ending)
+    part = _cleared(path, ending)
     new_file(part).close()
     try:
         yield part
@@ -50,15 +48,12 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     """
     restore(path)
     check_ours(path)
-    for leftover in (*_leftovers(path, "tmp"), *_leftovers(path, "before")):
-        _remove(leftover)
-    part, before = (_temporary(path, ending) for ending in ("tmp", "before"))
+    part, before = _cleared(path, "tmp"), _cleared(path, "before")
     part.mkdir()  # raises `OSError` now if the parent folder is missing or not writable
     try:
         yield part
-        for file in part.rglob("*"):
+        for file in (*part.rglob("*"), part):
             _sync(file)
-        _sync(part)
         if path.exists():  # renaming cannot replace an existing folder; if this process ends now, `restore` undoes it
             path.rename(before)
         try:
@@ -68,8 +63,8 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             raise
         _sync(path.parent)
     finally:
-        for leftover in (part, before):
-            _remove(leftover)
+        _remove(part)
+        _remove(before)
 
 
 def restore(path: Path, before: Path | None = None) -> None:
@@ -85,28 +80,43 @@ def restore(path: Path, before: Path | None = None) -> None:
             other.rename(path)
 
 
-def _temporary(path: Path, ending: str) -> Path:
-    """Return a name next to `path` with this machine, the number of this process and a random part."""
-    return path.with_name(f"{_prefix(path)}{os.getpid()}-{secrets.token_hex(8)}.{ending}")
-
-
-def _prefix(path: Path) -> str:
-    """Return the beginning of temporary names for `path`; process numbers of machines that share a folder may agree."""
-    return f".{path.name}.{socket.gethostname()}-"
-
-
-def _leftovers(path: Path, ending: str) -> list[Path]:
-    """Return what processes of this machine that have ended left for `path` under temporary names."""
-    temporary = re.compile(re.escape(_prefix(path)) + r"(\d+)-[0-9a-f]{16}" + re.escape(f".{ending}"))
-    names = ((other, temporary.fullmatch(other.name)) for other in path.parent.iterdir())
-    return [other for other, match in names if match and _has_ended(int(match[1]))]
-
-
 def commit(part: Path, path: Path) -> None:
     """Rename the finished file `part` to `path`; on return, content and name are synced to disk."""
     _sync(part)
     os.replace(part, path)
     _sync(path.parent)
+
+
+def _cleared(path: Path, ending: str) -> Path:
+    """Remove the leftovers for `path`, and return a new temporary name next to it.
+
+    The name states this machine, since processes of machines that share a folder may have the same number, the number
+    of this process, and a random part.
+    """
+    for leftover in _leftovers(path, ending):
+        _remove(leftover)
+    return path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(8)}.{ending}")
+
+
+def _leftovers(path: Path, ending: str) -> list[Path]:
+    """Return what processes of this machine that have ended left for `path` under temporary names."""
+    prefix, suffix = (re.escape(text) for text in (f".{path.name}.{socket.gethostname()}-", f".{ending}"))
+    temporary = re.compile(rf"{prefix}(\d+)-[0-9a-f]{{16}}{suffix}")
+    names = ((other, temporary.fullmatch(other.name)) for other in path.parent.iterdir())
+    return [other for other, match in names if match and _has_ended(int(match[1]))]
+
+
+def _has_ended(process: int) -> bool:
+    """Return whether a process of this machine is known to have ended."""
+    with suppress(OSError):  # no such process, or a system without /proc
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return True
+    except OSError:  # a process of another user
+        pass
+    return False
 
 
 def _remove(path: Path) -> None:
@@ -118,26 +128,8 @@ def _remove(path: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    if os.name != "posix" and path.is_dir():  # other systems cannot open a folder
-        return
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _has_ended(process: int) -> bool:
-    """Return whether a process of this machine is known to have ended."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
-    except OSError:  # no such process, another user's, or a system without /proc
-        pass
-    if os.name == "posix":  # on other systems this call ends the process
-        try:
-            os.kill(process, 0)
-        except (ProcessLookupError, OverflowError):
-            return True
-        except OSError:  # a process of another user
-            pass
-    return False

@@ -7,7 +7,7 @@ attribute.
 
 import json
 from collections.abc import Mapping
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -30,16 +30,6 @@ LONGEST_NAME = 100
 """Maximum length of a parameter name [characters]."""
 
 
-class Differing(TypedDict):
-    """A parameter whose value differs from the default."""
-
-    name: str
-    symbol: str
-    units: str
-    value: float
-    default: float
-
-
 def check_attributes(ds: xr.Dataset) -> None:
     """Raise `InputError` if the value of a known attribute is malformed."""
     for name in _SCHEMA:
@@ -58,8 +48,7 @@ def text_of(ds: xr.Dataset, name: str, otherwise: str = "") -> str:
 
 def run_of(ds: xr.Dataset) -> dict[str, Any]:
     """Return the run settings (empty if missing); `settle` [s], `observe` [s] and `error` are numbers where present."""
-    run: dict[str, Any] = _read(ds, "run", {})
-    return run
+    return dict(_read(ds, "run", {}))
 
 
 def parameters_of(ds: xr.Dataset) -> dict[str, float]:
@@ -72,10 +61,9 @@ def parameter_units_of(ds: xr.Dataset) -> dict[str, str]:
     return {name: printable(unit, LONGEST_NAME) for name, unit in _read(ds, "parameter_units", {}).items()}
 
 
-def differing_of(ds: xr.Dataset) -> list[Differing]:
-    """Return the fixed parameters whose values differ from the defaults."""
-    differing: list[Differing] = _read(ds, "differing", [])
-    return differing
+def differing_of(ds: xr.Dataset) -> list[dict[str, Any]]:
+    """Return name, symbol, units, value and default of the fixed parameters that differ from the default."""
+    return list(_read(ds, "differing", []))
 
 
 def hole_radius_of(ds: xr.Dataset) -> float | None:
@@ -98,8 +86,7 @@ def attribute_of(ds: xr.Dataset, name: str) -> Any:
 
 def table_of(ds: xr.Dataset, name: str) -> dict[str, Any]:
     """Return an attribute that holds a JSON object as a dict, empty if the attribute is missing."""
-    table: dict[str, Any] = _read(ds, name, {})
-    return table
+    return dict(_read(ds, name, {}))
 
 
 def lane_count(ds: xr.Dataset) -> int | None:

@@ -9,7 +9,7 @@ from typing import Any
 import netCDF4
 import xarray as xr
 
-from vibrojax.errors import InputError
+from vibrojax.errors import InputError, first_line
 from vibrojax.io.atomic import ZARR, restore
 from vibrojax.io.attributes import check_attributes
 from vibrojax.io.identity import MARK, MARKED
@@ -39,20 +39,23 @@ def open_dataset(path: str | os.PathLike[str]) -> xr.Dataset:
     True
     """
     path = Path(path)
-    if path.suffix == ZARR and path.parent.is_dir():
+    is_store, problem = path.suffix == ZARR, ""
+    if is_store and path.parent.is_dir():
         restore(path)
     if not path.exists():
-        raise InputError(f"{path}: there is no such file")
-    if path.is_dir() and path.suffix != ZARR:
-        raise InputError(f"{path}: is a folder; give a .nc file")
-    if not path.is_file() and path.suffix != ZARR:
-        raise InputError(f"{path}: is not a regular file; give a .nc file")
-    if path.suffix == ".toml":
+        problem = "there is no such file"
+    elif path.is_dir() and not is_store:
+        problem = "is a folder; give a .nc file"
+    elif not path.is_file() and not is_store:
+        problem = "is not a regular file; give a .nc file"
+    elif path.suffix == ".toml":
         command = shlex.join(["vibrojax", "sweep", str(path)])
-        raise InputError(f"{path}: is not a dataset; give the .nc file that {command} writes")
-    if path.suffix in MARKED:
-        raise InputError(f"{path}: is not a dataset; give the .nc file from which it was made")
-    if path.suffix == ZARR:
+        problem = f"is not a dataset; give the .nc file that {command} writes"
+    elif path.suffix in MARKED:
+        problem = "is not a dataset; give the .nc file from which it was made"
+    if problem:
+        raise InputError(f"{path}: {problem}")
+    if is_store:
         check_zarr(path)
     try:
         with readable(path) as source:
@@ -102,9 +105,3 @@ def check_zarr(path: Path) -> None:
     """Raise `InputError` if zarr, an optional dependency, is not installed."""
     if find_spec("zarr") is None:
         raise InputError(f'{path}: zarr is not installed; pip install "vibrojax[zarr]", or give a .nc file')
-
-
-def first_line(error: Exception) -> str:
-    """Return the first line of an error's message, or the name of its class if it has none."""
-    lines = str(error).splitlines()
-    return lines[0] if lines else type(error).__name__

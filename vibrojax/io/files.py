@@ -33,7 +33,7 @@ def memory() -> float | None:
 def new_file(path: Path) -> BinaryIO:
     """Open a new file for writing, in place of what is at `path`; no link there is followed."""
     path.unlink(missing_ok=True)
-    return os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0), 0o666), "wb")
+    return os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_NOFOLLOW, 0o666), "wb")
 
 
 def read_regular(path: Path, most: int = LARGEST) -> bytes:
@@ -43,7 +43,7 @@ def read_regular(path: Path, most: int = LARGEST) -> bytes:
 
     **Raises:** `OSError` if the file cannot be opened; `InputError` for another kind of file, or a larger one.
     """
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     try:
         kind = os.fstat(handle).st_mode
         if stat.S_ISDIR(kind):
@@ -101,20 +101,16 @@ def size_text(size: int | float) -> str:
         if size < 999.5:
             return f"{size:.3g} {unit}"
         size /= 1000
-    return _text(size, "TB", 1e9)
+    return f"{size:,.0f} TB" if 1000 <= size < 1e9 else f"{size:.3g} TB"
 
 
 def time_text(seconds: int | float) -> str:
     """Return a time in seconds as a string, such as `2.5 h`."""
     for unit, length in (("days", 86400), ("h", 3600), ("min", 60)):
-        if seconds >= 2 * length:
-            return _text(seconds / length, unit, 1e6)
+        amount = seconds / length
+        if amount >= 2:
+            return f"{amount:,.0f} {unit}" if 1000 <= amount < 1e6 else f"{amount:.3g} {unit}"
     return f"{seconds:.3g} s"
-
-
-def _text(amount: int | float, unit: str, largest_plain: float) -> str:
-    plain = 1000 <= amount < largest_plain
-    return f"{amount:,.0f} {unit}" if plain else f"{amount:.3g} {unit}"
 
 
 @cache

@@ -9,6 +9,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from vibrojax.errors import InputError, shown
@@ -64,21 +65,17 @@ def check_ours(path: Path) -> None:
             if file.is_symlink() or not (file.is_dir() or _IN_STORE.fullmatch(file.name)):
                 name = shown(file.relative_to(path).as_posix())
                 raise InputError(f"{path}: holds {name}, which is not of a dataset; {advice}")
-    if not _says_so(path):
-        raise InputError(f"{path}: exists already, and does not say that {MARK} wrote it; {advice}")
-
-
-def _says_so(path: Path) -> bool:
-    mark = MARKED.get(path.suffix.lower())
-    try:
+    mark, says_so = MARKED.get(path.suffix.lower()), False
+    with suppress(InputError, OSError, ValueError, RecursionError):
         if path.is_dir():
             attributes = json.loads(read_regular(path / ".zattrs", LARGEST_METADATA))
-            return isinstance(attributes, dict) and str(attributes.get("source", "")).startswith(MARK)
-        if mark is not None:
-            return mark.search(read_regular(path)) is not None
-        return seal_of(path) is not None or str(global_attributes(path).get("source", "")).startswith(MARK)
-    except (InputError, OSError, ValueError, RecursionError):
-        return False
+            says_so = isinstance(attributes, dict) and str(attributes.get("source", "")).startswith(MARK)
+        elif mark is not None:
+            says_so = mark.search(read_regular(path)) is not None
+        else:
+            says_so = seal_of(path) is not None or str(global_attributes(path).get("source", "")).startswith(MARK)
+    if not says_so:
+        raise InputError(f"{path}: exists already, and does not say that {MARK} wrote it; {advice}")
 
 
 def canonical(values: Mapping[str, object]) -> bytes:
@@ -94,30 +91,37 @@ def digest(values: Mapping[str, object]) -> str:
 def changes(before: Mapping[str, object], now: Mapping[str, object]) -> str:
     """Describe the differences between everything two results depend on; "" if there are none."""
 
-    def value(values: Mapping[str, object], name: str) -> str:
-        if name not in values:
-            return "not there"
-        digested = _DIGEST.fullmatch(str(values[name]))
-        return (digested[1] or "there") if digested else " ".join(shown(values[name]).split())
-
-    def difference(name: str) -> str:
-        texts = value(before, name), value(now, name)
-        if texts[0] != texts[1]:
-            return f"{name} was {texts[0]}, is {texts[1]}"
-        if _COLUMN.fullmatch(texts[0]):
-            return f"the values of {name.rpartition('.')[2]} differ"
-        is_file = texts[0] != "there"
-        return f"that of another {texts[0]}, or before its change" if is_file else f"{name} has changed since"
+    def text(values: Mapping[str, object], name: str) -> str:
+        digested = _DIGEST.fullmatch(str(values.get(name)))
+        known = (digested[1] or "there") if digested else " ".join(shown(values.get(name)).split())
+        return known if name in values else "not there"
 
     names = [name for name in {**before, **now} if before.get(name, ...) != now.get(name, ...)]
-    texts = [difference(name) for name in names[:_CHANGES_SHOWN]]
+    differences = []
+    for name in names[:_CHANGES_SHOWN]:
+        was, becomes = text(before, name), text(now, name)
+        if was != becomes:
+            differences.append(f"{name} was {was}, is {becomes}")
+        elif _COLUMN.fullmatch(was):
+            differences.append(f"the values of {name.rpartition('.')[2]} differ")
+        else:
+            file = f"that of another {was}, or before its change"
+            differences.append(f"{name} has changed since" if was == "there" else file)
     more = f" and {len(names) - _CHANGES_SHOWN} more" if len(names) > _CHANGES_SHOWN else ""
-    return "; ".join(texts) + more
+    return "; ".join(differences) + more
 
 
 def identity_text(identity: Mapping[str, object]) -> str:
     """Return an identity as the JSON string that the attribute stores."""
     return json.dumps(identity, sort_keys=True)
+
+
+def stored_identity(out: Path) -> dict[str, object] | None:
+    """Return the identity of the result at `out`, or None if there is no result that states its identity."""
+    with suppress(InputError, KeyError, ValueError, RecursionError):
+        stored = json.loads(str(global_attributes(out)[IDENTITY])) if out.exists() else None
+        return stored if isinstance(stored, dict) else None
+    return None
 
 
 def holds(out: Path, identity: Mapping[str, object]) -> bool:
@@ -131,19 +135,8 @@ def check_replaceable(out: Path, identity: Mapping[str, object]) -> None:
     check_ours(out)
     if not out.exists():
         return
-    stored = stored_identity(out)
     advice = "--fresh replaces it, or give another output with -o"
-    if stored is None:
+    if (stored := stored_identity(out)) is None:
         raise InputError(f"{out}: exists already, and does not say that it holds this result; {advice}")
-    differences = changes(stored, json.loads(identity_text(identity)))
-    if differences:
+    if differences := changes(stored, json.loads(identity_text(identity))):
         raise InputError(f"{out}: holds another result: {differences}; {advice}")
-
-
-def stored_identity(out: Path) -> dict[str, object] | None:
-    """Return the identity of the result at `out`, or None if there is no result that states its identity."""
-    try:
-        stored = json.loads(str(global_attributes(out)[IDENTITY])) if out.exists() else None
-    except (InputError, KeyError, ValueError, RecursionError):
-        stored = None
-    return stored if isinstance(stored, dict) else None

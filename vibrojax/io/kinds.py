@@ -145,7 +145,6 @@ LARGEST_COORDINATE = 1e100
 """Bound on the absolute values of coordinates: squares and differences of larger values may overflow."""
 
 _DERIVED = OF_FAMILIES | OF_CURVES | OF_BORDERS | OF_ATTRACTORS
-_KNOWN = VARIABLES | _DERIVED
 
 _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
     "special_kind": {
@@ -164,62 +163,56 @@ _DIMENSIONS: dict[str, dict[str, tuple[str, ...]]] = {
 """Dimensions of the variables of families, of curves, of borders and of a motion's events. The key is the variable
 whose presence implies the others."""
 
-_OF_EQUILIBRIA = dict.fromkeys(("eigenvalue_re", "eigenvalue_im"), ("point", "eigenvalue"))
-
 
 def check_structure(ds: xr.Dataset) -> None:
     """Raise `InputError`, with a one-line message that names the variable, if the structure is inconsistent."""
-    for name in (*ds.sizes, *ds.variables):
-        text = str(name)
+    known = VARIABLES | _DERIVED
+    for text in map(str, (*ds.sizes, *ds.variables)):
         if printable(text) != text or not 0 < len(text) <= LONGEST_NAME:
             raise InputError(f"variable {shown(text)}: the name is not a printable text of 1 to {LONGEST_NAME} letters")
-    for name in ds.sizes:
-        if name in ds.variables and ds[name].dims == (name,):
-            _check_axis(Place(f"coordinate {name}"), ds[name])
+    for axis in ds.sizes:
+        if axis in ds.variables and ds[axis].dims == (axis,):
+            _check_axis(Place(f"coordinate {axis}"), ds[axis])
     for name, data in ds.variables.items():
-        _check_variable(Place(f"variable {name}"), str(name), data)
+        place, dtype = Place(f"variable {name}"), known[str(name)].dtype if name in known else np.str_
+        if dtype is not np.str_ and data.dtype.kind not in "fiu":
+            raise place.error(f"its values are not numbers, but {data.dtype}")
+        if name in _DERIVED and issubclass(dtype, np.integer) and data.dtype.kind not in "iu":
+            raise place.error(f"its values are not whole numbers, but {data.dtype}")
+        check_flags(place, data)
     for of in (name for name in _DIMENSIONS if name in ds):
         dimensions = dict(_DIMENSIONS[of])
-        if of == "special_kind":
-            standing = "eigenvalue_re" in ds
-            dimensions |= _OF_EQUILIBRIA if standing else {"multiplier_abs": ("point", "multiplier")}
-        for name, expected in dimensions.items():
-            if name not in ds:
-                raise InputError(f"variable {name}: is missing; it goes with {of}")
-            if ds[name].dims != expected:
-                dims = shown(list(ds[name].dims))
-                raise InputError(f"variable {name}: its dimensions are {dims}, not {shown(expected)}")
+        if of == "special_kind" and "eigenvalue_re" in ds:  # of equilibria
+            dimensions |= dict.fromkeys(("eigenvalue_re", "eigenvalue_im"), ("point", "eigenvalue"))
+        elif of == "special_kind":
+            dimensions["multiplier_abs"] = ("point", "multiplier")
+        for needed, expected in dimensions.items():
+            if needed not in ds:
+                raise InputError(f"variable {needed}: is missing; it goes with {of}")
+            if ds[needed].dims != expected:
+                found = shown(list(ds[needed].dims))
+                raise InputError(f"variable {needed}: its dimensions are {found}, not {shown(expected)}")
     # Of the variables with one value per lane, one has the dimensions of all others.
-    along = {name: set(ds[name].dims) - {known.along} for name, known in VARIABLES.items() if name in ds}
-    widest = max(along.values(), key=len, default=set())
-    for name, own in along.items():
-        if not own <= widest:
-            lists = [shown(sorted(map(str, dims))) for dims in (own, widest)]
-            first = next(other for other, dims in along.items() if dims is widest)
-            raise InputError(f"variable {name}: its dimensions {lists[0]} are not among {lists[1]}, those of {first}")
+    along = {name: set(ds[name].dims) - {lane.along} for name, lane in VARIABLES.items() if name in ds}
+    first = max(along, key=lambda name: len(along[name]), default="")
+    for lane_name, dims in along.items():
+        if not dims <= along[first]:
+            lists = [shown(sorted(map(str, these))) for these in (dims, along[first])]
+            text = f"its dimensions {lists[0]} are not among {lists[1]}, those of {first}"
+            raise InputError(f"variable {lane_name}: {text}")
 
 
 def _check_axis(place: Place, data: xr.DataArray) -> None:
-    if data.dtype.kind in "fiu":
-        if not (np.abs(data.values) < LARGEST_COORDINATE).all():
-            raise place.error(f"its values are not all finite numbers below {LARGEST_COORDINATE:g}")
-        if data.name == "time":
-            rises = data.size < 2 or (data.values[-1] > data.values[0] and (np.diff(data.values) >= 0).all())
-            if not rises:
-                raise place.error("its values do not rise")
-        elif len(np.unique(data.values)) < data.size:
+    if data.dtype.kind not in "fiu":
+        if data.dtype.kind not in "UOT":
+            raise place.error(f"its values are neither numbers nor names, but {data.dtype}")
+    elif not (np.abs(data.values) < LARGEST_COORDINATE).all():
+        raise place.error(f"its values are not all finite numbers below {LARGEST_COORDINATE:g}")
+    elif data.name != "time":
+        if len(np.unique(data.values)) < data.size:
             raise place.error("its values are not all different")
-    elif data.dtype.kind not in "UOT":
-        raise place.error(f"its values are neither numbers nor names, but {data.dtype}")
-
-
-def _check_variable(place: Place, name: str, data: xr.Variable) -> None:
-    known = _KNOWN.get(name)
-    if known is not None and known.dtype is not np.str_ and data.dtype.kind not in "fiu":
-        raise place.error(f"its values are not numbers, but {data.dtype}")
-    if name in _DERIVED and known is not None and issubclass(known.dtype, np.integer) and data.dtype.kind not in "iu":
-        raise place.error(f"its values are not whole numbers, but {data.dtype}")
-    check_flags(place, data)
+    elif data.size > 1 and not (data.values[-1] > data.values[0] and (np.diff(data.values) >= 0).all()):
+        raise place.error("its values do not rise")
 
 
 def check_flags(place: Place, data: xr.Variable) -> None:

@@ -27,7 +27,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import netCDF4
 
@@ -50,18 +50,10 @@ LARGEST_METADATA = 64 * 2**20
 
 _SIZE = hashlib.sha256().digest_size
 _LENGTH = len(MAGIC) + 2 * _SIZE
-_PIECE = 1 << 20
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _END_ADDRESS = {0: 40, 1: 44, 2: 28, 3: 28}
 """Position of the address of the file's end in the superblock of HDF5, by its version."""
-
-
-class Seal(NamedTuple):
-    """The SHA-256 of the content of a file or store, and its code."""
-
-    digest: bytes
-    code: bytes
 
 
 def seal(path: Path) -> None:
@@ -82,49 +74,43 @@ def is_own(path: Path) -> bool:
     **Raises:** `InputError` if the content is not what the seal states.
     """
     given = seal_of(path)
-    if given is None:
-        if not path.is_dir() and _continues(path):
-            raise _damaged(path)  # something follows the end, and it is no seal
+    if given is not None:
+        stated, code = given
+        if stated == _digest(path, leave_out=_LENGTH):
+            secret = _secret()
+            return secret is not None and hmac.compare_digest(code, hmac.digest(secret, stated, "sha256"))
+    elif path.is_dir():
         return False
-    if given.digest != _digest(path, leave_out=_LENGTH):
-        raise _damaged(path)
-    secret = _secret()
-    return secret is not None and hmac.compare_digest(given.code, hmac.digest(secret, given.digest, "sha256"))
+    else:
+        with open(path, "rb") as file:
+            start = file.read(64)
+        end = _END_ADDRESS.get(start[8]) if len(start) == 64 and start.startswith(_HDF5) else None
+        # The superblock states the length of the file: what follows and is no seal is a broken one.
+        if end is None or os.path.getsize(path) <= struct.unpack_from("<Q", start, end)[0]:
+            return False
+    problem = "is damaged: its content is not what was written"
+    raise InputError(f"{path}: {problem}; take a copy, or compute it again (remove the file first)")
 
 
-def seal_of(path: Path) -> Seal | None:
-    """Return the seal of a file or store, broken or not, or None if it has none."""
+def seal_of(path: Path) -> tuple[bytes, bytes] | None:
+    """Return the seal of a file or store, broken or not: SHA-256 of its content and code; None if it has none."""
     if path.is_dir():
         stated = _metadata(path).get(KEY)
         if stated is None:
             return None
         with suppress(ValueError, TypeError, LookupError):
-            return Seal(bytes.fromhex(stated["sha256"]), bytes.fromhex(stated["code"]))
-        return Seal(b"", b"")
+            return bytes.fromhex(stated["sha256"]), bytes.fromhex(stated["code"])
+        return b"", b""
     with open(path, "rb") as file, suppress(OSError):  # the file is shorter
         file.seek(-_LENGTH, os.SEEK_END)
         end = file.read(_LENGTH)
         if end.startswith(MAGIC):
-            return Seal(end[len(MAGIC) : -_SIZE], end[-_SIZE:])
+            return end[len(MAGIC) : -_SIZE], end[-_SIZE:]
     return None
 
 
-def _continues(path: Path) -> bool:
-    """Return whether a file is longer than its HDF5 superblock says."""
-    with open(path, "rb") as file:
-        start = file.read(64)
-    end = _END_ADDRESS.get(start[8]) if len(start) == 64 and start.startswith(_HDF5) else None
-    return end is not None and os.path.getsize(path) > int(struct.unpack_from("<Q", start, end)[0])
-
-
-def _damaged(path: Path) -> InputError:
-    problem = "is damaged: its content is not what was written"
-    return InputError(f"{path}: {problem}; take a copy, or compute it again (remove the file first)")
-
-
 def _metadata(path: Path) -> dict[str, Any]:
-    metadata: dict[str, Any] = json.loads(read_regular(path / METADATA, LARGEST_METADATA))
-    return metadata
+    return dict(json.loads(read_regular(path / METADATA, LARGEST_METADATA)))
 
 
 def _digest(path: Path, leave_out: int = 0) -> bytes:
@@ -132,7 +118,7 @@ def _digest(path: Path, leave_out: int = 0) -> bytes:
     if not path.is_dir():
         digest, size = hashlib.sha256(), os.path.getsize(path) - leave_out
         with open(path, "rb") as file:
-            while size > 0 and (piece := file.read(min(_PIECE, size))):
+            while size > 0 and (piece := file.read(min(1 << 20, size))):
                 digest.update(piece)
                 size -= len(piece)
         return digest.digest()
@@ -178,19 +164,11 @@ PROCESSOR_SECONDS, SLOWEST = 6.0, 2e7
 _OVERLOAD = 5.0
 """Ratio of elapsed time to processor time above which a file that does not end is given up."""
 
-FORMAT_3 = "zarr.json"
-"""Name of the files with the metadata of a Zarr store of format 3."""
-
 TYPES = re.compile(r"[<>|][biufSU]\d+")
 """Types of values: booleans, integers, floats, and strings of fixed length."""
 
-TEXT = ("|O", "vlen-utf8")
-"""Type and filter of strings of variable length."""
-
 COMPRESSORS = ("blosc", "zstd", "zlib", "gzip", "bz2", "lz4")
 """Compressors that only decompress; others may run code."""
-
-_SCRIPT = Path(__file__).with_name("untrusted_copy.py")
 
 
 @contextmanager
@@ -217,19 +195,19 @@ def global_attributes(path: Path) -> dict[str, Any]:
 
     **Raises:** `InputError` if no dataset is there, or it cannot be read.
     """
-    if not path.exists() or not (path.is_file() or path.is_dir()):
+    if not (path.is_file() or path.is_dir()):
         raise InputError(f"{path}: is not a dataset")
+
+    def read(source: Path) -> dict[str, Any]:
+        with netCDF4.Dataset(source) as dataset:
+            return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
+
     try:
         with readable(path) as source:
-            if source.is_dir():
-                attributes = json.loads(read_regular(source / ".zattrs", LARGEST_METADATA))
-                return attributes if isinstance(attributes, dict) else {}
-
-            def read() -> dict[str, Any]:
-                with netCDF4.Dataset(source) as dataset:
-                    return {name: dataset.getncattr(name) for name in dataset.ncattrs()}
-
-            return in_own_thread(read)
+            if not source.is_dir():
+                return in_own_thread(lambda: read(source))
+            attributes = json.loads(read_regular(source / ".zattrs", LARGEST_METADATA))
+            return attributes if isinstance(attributes, dict) else {}
     except (OSError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: its attributes cannot be read ({type(error).__name__})") from None
 
@@ -240,7 +218,8 @@ def _copied(path: Path, copy: Path) -> bool:
     size = sum(file.stat().st_size for file in path.rglob("*")) if path.is_dir() else path.stat().st_size
     seconds = PROCESSOR_SECONDS + size / SLOWEST
     limits = (f"{LAZY_FROM:g}", str(MOST_PACKED), f"{seconds:.0f}")
-    words = [sys.executable, "-P", str(_SCRIPT), str(path.absolute()), str(copy), *limits]
+    script = Path(__file__).with_name("untrusted_copy.py")
+    words = [sys.executable, "-P", str(script), str(path.absolute()), str(copy), *limits]
     try:
         ended = subprocess.run(
             words, stdin=subprocess.DEVNULL, capture_output=True, check=False, timeout=_OVERLOAD * seconds
@@ -262,7 +241,7 @@ def check_store(path: Path) -> None:
     for file in path.rglob("*"):
         if file.is_symlink() or not (file.is_file() or file.is_dir()):
             raise InputError(f"{path}: {shown(file.name)} is a link or a device; a store has files and folders only")
-        if file.name == FORMAT_3:
+        if file.name == "zarr.json":
             raise InputError(f"{path}: is a Zarr store of format 3; write it with zarr_format=2")
     try:
         entries = json.loads(read_regular(path / METADATA, LARGEST_METADATA))["metadata"].items()
@@ -277,7 +256,8 @@ def check_store(path: Path) -> None:
         filters, compressor = about.get("filters") or [], about.get("compressor")
         codecs = [codec.get("id") if isinstance(codec, dict) else codec for codec in filters]
         used = compressor.get("id") if isinstance(compressor, dict) else compressor
-        is_text, dtype, what = (about.get("dtype"), *codecs) == TEXT, str(about.get("dtype")), ""
+        is_text = (about.get("dtype"), *codecs) == ("|O", "vlen-utf8")  # strings of variable length
+        dtype, what = str(about.get("dtype")), ""
         if not is_text and not TYPES.fullmatch(dtype):
             what = f"values of the type {shown(dtype)}; datasets hold numbers and text"
         elif codecs and not is_text:

@@ -49,7 +49,6 @@ def copy_file(source: str, destination: str, most: float, packed: float) -> bool
         with netCDF4.Dataset(source) as file:
             file.set_auto_maskandscale(False)
             file.set_auto_chartostring(False)
-            _check_count(len(file.variables))
             sizes = {name: len(dimension) for name, dimension in file.dimensions.items()}
             for name, variable in file.variables.items():
                 is_plain = isinstance(variable.datatype, np.dtype) and variable.datatype.kind in "iufS"
@@ -59,7 +58,7 @@ def copy_file(source: str, destination: str, most: float, packed: float) -> bool
                 prod(variable.shape) * (8 if variable.dtype is str else variable.dtype.itemsize)
                 for variable in file.variables.values()
             )
-            if not _is_small(claimed, os.path.getsize(source), most, packed):
+            if not _is_small(len(file.variables), claimed, os.path.getsize(source), most, packed):
                 for variable in file.variables.values():  # external storage shows at the first value
                     if variable.size:
                         _ = variable[(0,) * variable.ndim], variable[(-1,) * variable.ndim]
@@ -86,21 +85,17 @@ def copy_store(source: str, destination: str, most: float, packed: float) -> boo
     import xarray as xr
 
     dataset = xr.open_dataset(source, engine="zarr", consolidated=True, decode_cf=False, cache=False)
-    _check_count(len(dataset.variables))
     stored = sum(file.stat().st_size for file in Path(source).rglob("*"))
-    if not _is_small(dataset.nbytes, stored, most, packed):
+    if not _is_small(len(dataset.variables), dataset.nbytes, stored, most, packed):
         return False
-    whole = dataset.load().drop_encoding()
-    whole.to_zarr(destination, mode="w", zarr_format=2, consolidated=True)
+    dataset.load().drop_encoding().to_zarr(destination, mode="w", zarr_format=2, consolidated=True)
     return True
 
 
-def _check_count(count: int) -> None:
-    if count > MOST_VARIABLES:
-        raise Refused(f"it has {count} variables, more than {MOST_VARIABLES}")
-
-
-def _is_small(claimed: float, stored: float, most: float, packed: float) -> bool:
+def _is_small(variables: int, claimed: float, stored: float, most: float, packed: float) -> bool:
+    """Return whether values take at most `most` bytes; refuse more than the stored bytes can hold."""
+    if variables > MOST_VARIABLES:
+        raise Refused(f"it has {variables} variables, more than {MOST_VARIABLES}")
     if claimed > packed * max(stored, 1):
         raise Refused(f"it claims {claimed / 1e9:.3g} GB, which its {stored} bytes cannot hold")
     return claimed <= most

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from itertools import product
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import netCDF4
 import numpy as np
 import xarray as xr
 
+from vibrojax.errors import first_line
 from vibrojax.io.atomic import ZARR, atomic_folder, atomic_write
-from vibrojax.io.dataset import check_zarr, first_line
+from vibrojax.io.dataset import check_zarr
 from vibrojax.io.trust import seal
 
 COMPRESSED = 4096
@@ -87,67 +88,51 @@ def _sealed(path: Path) -> Iterator[_Part]:
         try:
             yield part
             seal(file)
-        except (RuntimeError, OSError) as error:
-            raise _write_failed(part, path, error) from None
-
-
-def _write_failed(part: _Part, path: Path, error: Exception) -> OSError:
-    """Return an error that states why a dataset could not be written.
-
-    The netCDF library reports only "HDF error".
-    """
-    try:
-        with open(part.path, "ab", buffering=0) as file:
-            for _ in range(2 + 2 * part.size // _PROBE):  # a partial write raises nothing, but the next write does
-                file.write(bytes(_PROBE))
-            os.fsync(file.fileno())
-    except OSError as reason:
-        return OSError(reason.errno, reason.strerror, str(path))
-    return OSError(errno.EIO, f"cannot be written ({first_line(error)})", str(path))
+        except (RuntimeError, OSError) as error:  # the netCDF library reports only "HDF error": try why
+            try:
+                with open(file, "ab", buffering=0) as probe:
+                    for _ in range(2 + 2 * part.size // _PROBE):  # a partial write raises nothing, the next does
+                        probe.write(bytes(_PROBE))
+                    os.fsync(probe.fileno())
+            except OSError as reason:
+                raise OSError(reason.errno, reason.strerror, str(path)) from None
+            raise OSError(errno.EIO, f"cannot be written ({first_line(error)})", str(path)) from None
 
 
 Box = tuple[slice, ...]
 """Slices along a sweep's dimensions."""
 
 
-@dataclass(frozen=True)
-class Region:
+class Region(NamedTuple):
     """The lanes from `first` (inclusive) to `end` (exclusive), in row-major order, which fill the slices `box`."""
 
     first: int
     end: int
     box: Box
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return tuple(part.stop - part.start for part in self.box)
 
-
-class Regions:
-    """The regions of arrays of a given `shape`, in row-major order, each with at most `most` values.
+def chunk_shape(shape: tuple[int, ...], most: int) -> tuple[int, ...]:
+    """Return the shape of the regions with at most `most` values into which arrays of a `shape` are divided.
 
     A region spans an interval of one dimension, all of each later dimension, and one index of each earlier dimension.
     It is therefore both a box and a sequence of consecutive lanes, and forms one complete chunk of every stored array.
-    `chunk` is the shape of a region; only the last regions along a dimension may be smaller.
     """
+    sizes, room = [], max(1, most)
+    for size in reversed(shape):
+        sizes.append(max(1, min(size, room)))
+        room = room // size if size <= room else 1  # dimensions before a subdivided one contribute a single index
+    return tuple(reversed(sizes))
 
-    def __init__(self, shape: tuple[int, ...], most: int) -> None:
-        self.shape = shape
-        sizes, room = [], max(1, most)
-        for size in reversed(shape):
-            sizes.append(max(1, min(size, room)))
-            # Dimensions before a subdivided one contribute a single index.
-            room = room // size if size <= room else 1
-        self.chunk = tuple(reversed(sizes))
 
-    def __iter__(self) -> Iterator[Region]:
-        first = 0
-        for corner in product(*(range(0, size, step) for size, step in zip(self.shape, self.chunk, strict=True))):
-            bounds = zip(corner, self.shape, self.chunk, strict=True)
-            box = tuple(slice(start, min(start + step, size)) for start, size, step in bounds)
-            end = first + prod(part.stop - part.start for part in box)
-            yield Region(first, end, box)
-            first = end
+def regions(shape: tuple[int, ...], chunk: tuple[int, ...]) -> Iterator[Region]:
+    """Yield the regions of arrays in row-major order; only the last along a dimension may be smaller than `chunk`."""
+    first = 0
+    for corner in product(*(range(0, size, step) for size, step in zip(shape, chunk, strict=True))):
+        bounds = zip(corner, shape, chunk, strict=True)
+        box = tuple(slice(start, min(start + step, size)) for start, size, step in bounds)
+        end = first + prod(part.stop - part.start for part in box)
+        yield Region(first, end, box)
+        first = end
 
 
 class InMemory:
@@ -161,18 +146,16 @@ class InMemory:
         `chunk` is the shape of a region, along the first dimensions of every variable. Variables whose names are in
         `plain` are not compressed.
         """
-        self.dataset = template
-        self._arrays = {str(name): np.empty(data.shape, data.dtype) for name, data in template.data_vars.items()}
+        data = template.data_vars.items()
+        self.dataset = template.copy(data={name: np.empty(x.shape, x.dtype) for name, x in data})
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         """Write values of a variable: within `box` along its first dimensions, and all along its other dimensions."""
-        self._arrays[name][box] = values
+        self.dataset.variables[name].values[box] = values
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
         """Complete the dataset with its attributes, after all values have been written."""
-        variables = {name: self.dataset.variables[name] for name in self._arrays}
-        columns = {name: (variables[name].dims, x, variables[name].attrs) for name, x in self._arrays.items()}
-        self.dataset = self.dataset.assign(columns).assign_attrs(attributes)
+        self.dataset = self.dataset.assign_attrs(attributes)
 
 
 class _Netcdf:
@@ -184,33 +167,28 @@ class _Netcdf:
         self._part.size = template.nbytes
         for dimension, size in template.sizes.items():
             self._file.createDimension(dimension, size)
-        for name, data in template.data_vars.items():
-            large = data.size > COMPRESSED
-            layout: dict[str, Any] = {"chunksizes": _chunks(data, chunk)} if large else {"contiguous": True}
-            if large and name not in plain:
-                layout |= COMPRESSION
-            variable = self._create(name, data.dtype, data.dims, _attributes(template, data), layout)
+        for name in (*template.data_vars, *template.coords):
+            data, large, layout = template.variables[name], False, dict[str, Any]()
+            text = data.dtype.kind in "UO"
+            if name in template.data_vars:
+                large = data.size > COMPRESSED
+                layout = {"chunksizes": _chunks(data, chunk)} if large else {"contiguous": True}
+                layout |= COMPRESSION if large and name not in plain else {}
+            # No fill values: xarray reads integer flags with a fill value as floats, and NaN in floats needs none.
+            layout["fill_value"] = None if text else False
+            variable = self._file.createVariable(name, str if text else data.dtype, data.dims, **layout)
+            variable.set_auto_maskandscale(False)
+            variable.setncatts(_attributes(template, name))
             if large:  # chunks are written in one piece: a cache would waste memory (0 means 64 MB)
                 variable.set_var_chunk_cache(size=1, nelems=1, preemption=1.0)
-        for name, data in template.coords.items():
-            text = data.dtype.kind in "UO"
-            variable = self._create(name, str if text else data.dtype, data.dims, data.attrs, {})
-            variable[:] = data.values.astype(object) if text else data.values
+            if name in template.coords:
+                variable[:] = data.values.astype(object) if text else data.values
 
     def put(self, name: str, box: Box, values: np.ndarray) -> None:
         self._file.variables[name][box] = values
 
     def finish(self, attributes: Mapping[str, Any]) -> None:
         self._file.setncatts(dict(attributes))
-
-    def _create(
-        self, name: Any, dtype: Any, dims: Any, attributes: Mapping[Any, Any], layout: Mapping[str, Any]
-    ) -> Any:
-        # No fill values: xarray reads integer flags with a fill value as floats, and NaN in floats needs none.
-        variable = self._file.createVariable(name, dtype, dims, fill_value=None if dtype is str else False, **layout)
-        variable.set_auto_maskandscale(False)
-        variable.setncatts(dict(attributes))
-        return variable
 
 
 class _Zarr:
@@ -223,7 +201,7 @@ class _Zarr:
         template.drop_vars(list(template.data_vars)).to_zarr(self._path, mode="w", zarr_format=2, consolidated=False)
         self._group: Any = zarr.open_group(self._path, mode="r+", zarr_format=2)
         for name, data in template.data_vars.items():
-            attributes = _attributes(template, data) | {"_ARRAY_DIMENSIONS": list(data.dims)}  # xarray's convention
+            attributes = _attributes(template, name) | {"_ARRAY_DIMENSIONS": list(data.dims)}  # xarray's convention
             attributes = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attributes.items()}
             layout: dict[str, Any] = {"chunks": _chunks(data, chunk), "fill_value": None, "attributes": attributes}
             self._group.create_array(str(name), shape=data.shape, dtype=data.dtype, **layout)
@@ -255,13 +233,13 @@ def file_target(path: Path) -> Iterator[Target]:
                 yield _Netcdf(file, part)
 
 
-def _chunks(data: xr.DataArray, chunk: tuple[int, ...]) -> tuple[int, ...]:
+def _chunks(data: xr.DataArray | xr.Variable, chunk: tuple[int, ...]) -> tuple[int, ...]:
     """Return the chunk shape of a variable: that of a region, and all of its other dimensions."""
     return (*chunk, *data.shape[len(chunk) :])
 
 
-def _attributes(template: xr.Dataset, data: xr.DataArray) -> dict[Any, Any]:
-    """Return the attributes of a variable, including `coordinates`: the names of its non-dimension coordinates."""
-    columns = template.coords.items()
+def _attributes(template: xr.Dataset, name: Any) -> dict[Any, Any]:
+    """Return the attributes of a variable; those of data name its non-dimension coordinates in `coordinates`."""
+    data, columns = template.variables[name], template.coords.items()
     beside = sorted(str(name) for name, x in columns if name not in template.sizes and set(x.dims) <= set(data.dims))
-    return dict(data.attrs) | ({"coordinates": " ".join(beside)} if beside else {})
+    return dict(data.attrs) | ({"coordinates": " ".join(beside)} if beside and name not in template.coords else {})

@@ -56,15 +56,6 @@ class Cost(NamedTuple):
     seconds: float
 
 
-def estimate(sweep: Sweep, to_file: bool = False) -> Cost:
-    """Estimate the cost of a sweep without running a lane; the time is good to a factor of a few.
-
-    `to_file`: whether finished chunks are kept on the disk, or in memory.
-    """
-    size = LANE_BYTES + RETURN_BYTES * sweep.run.keep_returns + ORBIT_BYTES * sweep.run.orbits
-    return _cost(sweep, to_file, size, STEP_SECONDS * estimated_steps(sweep).mean() * sweep.lanes / threads())
-
-
 def spread(lanes: int, runs: int, length: int) -> Index:
     """Return the numbers of lanes in runs that are spread over a sweep, or of all its lanes if they are few."""
     if lanes <= runs * length:
@@ -121,9 +112,12 @@ def estimated_steps(sweep: Sweep) -> PerLane:
 def check_size(sweep: Sweep, out: Path | None = None, to_file: bool = False, cost: Cost | None = None) -> None:
     """Raise `InputError` if the sweep needs more memory, disk or time than is available.
 
-    `out`: output file, or None if the result stays in memory; `to_file`: see `estimate`; `cost`: instead of it.
+    **Arguments:** `out`: output file, or None if the result stays in memory; `to_file`: whether finished chunks are
+    kept on the disk, or in memory; `cost`: instead of an estimate, whose time is good to a factor of a few.
     """
-    cost = cost or estimate(sweep, to_file)
+    if cost is None:
+        size = LANE_BYTES + RETURN_BYTES * sweep.run.keep_returns + ORBIT_BYTES * sweep.run.orbits
+        cost = _cost(sweep, to_file, size, STEP_SECONDS * estimated_steps(sweep).mean() * sweep.lanes / threads())
     free = None
     if out is not None:  # chunks that are already stored for `out` need no more space
         chunks = out.with_name(out.name + CHUNKS)

@@ -6,7 +6,7 @@ A block, here called region, fills a box in the dataset's arrays.
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import xarray as xr
 from vibrojax.io.identity import IDENTITY, identity_text
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import Variable
-from vibrojax.io.writers import Region, Regions, Target
+from vibrojax.io.writers import Region, Target, chunk_shape, regions
 from vibrojax.lanes.inputs import Features, LaneResult
 from vibrojax.lanes.labels import variables_of, with_radius
 from vibrojax.lanes.run import LaneRun, joined
@@ -51,88 +51,65 @@ def join(sweep: Sweep, run: LaneRun, read: Read, target: Target, began: float) -
 
     The stated duration includes interrupted runs, but not the time between runs.
     """
-    lanes = _Lanes(sweep, read)
+    # With `carry`, the order of dimensions in which lanes are numbered differs from that of the dataset.
+    sizes, order = dict(zip(sweep.dims, sweep.shape, strict=True)), [sweep.counted.index(name) for name in sweep.dims]
+    shape = tuple(sizes[name] for name in sweep.counted)
+    lane_bytes = 8 * (len(variables_of(sweep.system)) + 6 * sweep.run.keep_returns)
+    chunk = chunk_shape(shape, int(min(REGION, max(1, REGION_BYTES // lane_bytes))))
     counts: Counter[str] = Counter()
+    spent = {SECONDS: 0.0, STEPS: 0.0}
     begun = False
     with quiet():
-        for regions in _groups(sweep):
-            variables = lanes.take(regions[0].first, regions[-1].end)
+        for group, variables in _lanes(sweep, read, regions(shape, chunk), spent):
             counts.update(certified(sweep, variables))
             if not begun:
                 template = _template(sweep, variables)
                 known = {name: np.mean(np.isfinite(x)) for name, x in variables.items() if x.dtype.kind == "f"}
                 large = template.nbytes > COMPRESSED_BYTES
                 plain = {name for name, share in known.items() if share > 0.5 and large}
-                region = dict(zip(sweep.counted, _regions(sweep).chunk, strict=True))
-                target.begin(template, tuple(region[name] for name in sweep.dims), frozenset(plain))
+                target.begin(template, tuple(chunk[axis] for axis in order), frozenset(plain))
                 begun = True
-            _write(sweep, target, regions, variables)
-    solver = run.described(lanes.steps)
+            for region in group:
+                box, lanes = tuple(region.box[axis] for axis in order), slice(*np.subtract(region[:2], group[0].first))
+                for name, x in variables.items():
+                    values = x[lanes].reshape(*(part.stop - part.start for part in region.box), *x.shape[1:])
+                    target.put(name, box, values.transpose(*order, *range(len(order), values.ndim)))
+    solver = run.described(int(spent[STEPS]))
     LOG.info("chosen: %s, %d chunks of %d lanes", json.dumps(solver), sweep.chunks, sweep.plan.chunk)
-    values = attributes(sweep, solver, counts, max(lanes.seconds, time.monotonic() - began))
-    described: dict[str, dict[str, object]] = {}
+    attrs = attributes(sweep, solver, counts, max(spent[SECONDS], time.monotonic() - began))
+    of_stages: dict[str, dict[str, object]] = {}
     for stage in run.stages:
-        described[stage.attribute] = described.get(stage.attribute, {}) | dict(stage.described)
-    target.finish(values | {name: json.dumps(about) for name, about in described.items()})
+        of_stages[stage.attribute] = of_stages.get(stage.attribute, {}) | dict(stage.described)
+    target.finish(attrs | {name: json.dumps(about) for name, about in of_stages.items()})
 
 
-def _write(sweep: Sweep, target: Target, regions: list[Region], variables: Features) -> None:
-    # With `carry`, the order of dimensions in which lanes are numbered differs from that of the dataset.
-    first, order = regions[0].first, [sweep.counted.index(name) for name in sweep.dims]
-    for region in regions:
-        box = tuple(region.box[axis] for axis in order)
-        for name, x in variables.items():
-            values = x[region.first - first : region.end - first].reshape(*region.shape, *x.shape[1:])
-            target.put(name, box, values.transpose(*order, *range(len(order), values.ndim)))
+def _lanes(
+    sweep: Sweep, read: Read, parts: Iterable[Region], spent: dict[str, float]
+) -> Iterator[tuple[list[Region], Features]]:
+    """Yield consecutive regions with their lanes, with one chunk in memory at a time.
 
-
-class _Lanes:
-    """Sequential access to the lanes of all chunks, with one chunk in memory at a time."""
-
-    def __init__(self, sweep: Sweep, read: Read) -> None:
-        self._sweep, self._size, self._read = sweep, sweep.plan.chunk, read
-        self._index = -1
-        self._chunk: Features = {}
-        self.seconds, self.steps = 0.0, 0
-
-    def take(self, first: int, end: int) -> Features:
-        """Return the variables of the lanes from `first` to `end` (exclusive), which follow the last ones.
-
-        They contain all initial conditions of their points, which are compared.
-        """
-        parts = []
-        for index in range(first // self._size, (end - 1) // self._size + 1):
-            if index != self._index:
-                self._index, self._chunk = index, dict(self._read(index))
-                self.seconds += float(self._chunk.pop(SECONDS))
-                self.steps += int(self._chunk.pop(STEPS))
-            begin = index * self._size
-            parts.append({name: x[max(first - begin, 0) : end - begin] for name, x in self._chunk.items()})
-        variables, starts = joined(parts), self._sweep.starts
-        if self._sweep.crosses_starts and starts is not None and len(starts) > 1 and "regime" in variables:
-            of_points = (variables, variables["regime"], len(starts))
-            variables = variables | {
-                "hidden_motion": hides_another(*of_points),
-                "sensitive": shares_transient(*of_points),
-            }
-        return {name: variables[name] for name in variables_of(self._sweep.system) if name in variables}
-
-
-def _groups(sweep: Sweep) -> Iterator[list[Region]]:
-    """Yield groups of array regions; each group holds all initial conditions of its points."""
+    They hold all initial conditions of their points, which are compared. `spent` adds up what the chunks took.
+    """
     starts = sweep.shape[-1] if sweep.crosses_starts else 1
-    group: list[Region] = []
-    for region in _regions(sweep):
+    names, size = variables_of(sweep.system), sweep.plan.chunk
+    at, chunk, group = -1, Features(), list[Region]()
+    for region in parts:
         group.append(region)
-        if region.end % starts == 0:
-            yield group
-            group = []
-
-
-def _regions(sweep: Sweep) -> Regions:
-    lane_bytes = 8 * (len(variables_of(sweep.system)) + 6 * sweep.run.keep_returns)
-    sizes = dict(zip(sweep.dims, sweep.shape, strict=True))
-    return Regions(tuple(sizes[name] for name in sweep.counted), int(min(REGION, max(1, REGION_BYTES // lane_bytes))))
+        if region.end % starts:
+            continue
+        first, end, pieces = group[0].first, region.end, []
+        for index in range(first // size, (end - 1) // size + 1):
+            if index != at:
+                at, chunk = index, dict(read(index))
+                spent.update({name: spent[name] + float(chunk.pop(name)) for name in spent})
+            begin = index * size
+            pieces.append({name: x[max(first - begin, 0) : end - begin] for name, x in chunk.items()})
+        lanes = joined(pieces)
+        if starts > 1 and "regime" in lanes:
+            of_points = lanes, lanes["regime"], starts
+            lanes = lanes | {"hidden_motion": hides_another(*of_points), "sensitive": shares_transient(*of_points)}
+        yield group, {name: lanes[name] for name in names if name in lanes}
+        group = []
 
 
 def _template(sweep: Sweep, variables: Mapping[str, np.ndarray]) -> xr.Dataset:

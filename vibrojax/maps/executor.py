@@ -26,7 +26,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from vibrojax.compile.xla import usable_cores, with_threads
-from vibrojax.errors import InputError, Place
+from vibrojax.errors import InputError, Place, first_line
 from vibrojax.lanes.inputs import Features, Report, unreported
 from vibrojax.lanes.run import LaneRun
 from vibrojax.maps.dataset import stored
@@ -40,9 +40,6 @@ AHEAD = 256
 
 QUEUED = 2
 """Number of chunks submitted at once per known worker, so that no worker waits for its next chunk."""
-
-FUTURE_POLL_SECONDS = 0.2
-"""Interval [s] between two checks of futures other than `concurrent.futures.Future`."""
 
 SLURM_LIMIT_MINUTES = 24 * 60
 """Time limit of a job of SLURM [min] if SBATCH_TIMELIMIT is not set; sites have their own limits."""
@@ -114,12 +111,19 @@ def _by_executor(
     **Raises:** `InputError` from a worker, or if the executor is unsuitable or the sweep cannot be pickled.
     """
     check_executor(executor)
+    try:
+        task = pickle.dumps(sweep)
+    except Exception as error:  # pickling parts of a user's scene may raise any exception
+        raise Place(sweep.file).error(
+            f"cannot be sent to other processes ({_named(error)}); "
+            "let functions of your own scene or law be defined in a module of their own, not be lambdas"
+        ) from None
     count = getattr(executor, "_max_workers", None)
     workers = count if isinstance(count, int) and count > 0 else 0  # 0: the executor does not state their number
     # The workers of these share this machine. The cores of any other worker are not known here, and may be one.
     local_pools = ProcessPoolExecutor, ThreadPoolExecutor
     is_local = isinstance(executor, local_pools) or type(executor).__module__.startswith("loky.")
-    task, threads = pickled(sweep), max(1, usable_cores() // workers) if workers and is_local else 1
+    threads = max(1, usable_cores() // workers) if workers and is_local else 1
     waiting, failed, running = deque(indices), list[int](), dict[Any, int]()
 
     def fail(index: int, error: Exception, broken: bool) -> None:
@@ -127,7 +131,8 @@ def _by_executor(
             raise error
         if not broken or waiting or not failed:
             what = "the executor broke down" if broken else f"chunk {index} failed with a worker"
-            _warn(f"{what} ({_first_line(error)}); {'the rest' if broken else 'it'} is computed here")
+            rest = "the rest" if broken else "it"
+            print(f"vibrojax: warning: {what} ({_named(error)}); {rest} is computed here", file=sys.stderr)
         failed.extend([index, *waiting] if broken else [index])
         if broken:
             waiting.clear()
@@ -146,7 +151,12 @@ def _by_executor(
                         running[executor.submit(compute_chunk, task, index, threads)] = index
                     except Exception as error:
                         fail(index, error, broken=True)
-                for future in _done(list(running)):
+                if all(isinstance(future, Future) for future in running):
+                    wait(running, return_when=FIRST_COMPLETED)
+                done = [future for future in running if future.done()]
+                if running and not done:  # futures of another library
+                    time.sleep(0.2)
+                for future in done:
                     index = running.pop(future)
                     try:
                         arrays = future.result()
@@ -178,29 +188,9 @@ def _compiled(task: bytes, threads: int | None) -> tuple[Sweep, LaneRun]:
     return sweep, run
 
 
-def pickled(sweep: Sweep) -> bytes:
-    """Pickle the sweep for other processes; raise `InputError` if that is impossible."""
-    try:
-        return pickle.dumps(sweep)
-    except Exception as error:  # pickling parts of a user's scene may raise any exception
-        raise Place(sweep.file).error(
-            f"cannot be sent to other processes ({_first_line(error)}); "
-            "let functions of your own scene or law be defined in a module of their own, not be lambdas"
-        ) from None
-
-
-def _done(futures: list[Any]) -> list[Any]:
-    """Wait for at least one of the futures, and return those that are done."""
-    if all(isinstance(future, Future) for future in futures):
-        return list(wait(futures, return_when=FIRST_COMPLETED).done)
-    while not (done := [future for future in futures if future.done()]):
-        time.sleep(FUTURE_POLL_SECONDS)
-    return done
-
-
-def _first_line(error: BaseException) -> str:
-    first = (str(error).splitlines() or [""])[0]
-    return f"{type(error).__name__}: {first}" if first else type(error).__name__
+def _named(error: BaseException) -> str:
+    name = type(error).__name__
+    return f"{name}: {first_line(error)}" if str(error) else name
 
 
 @contextmanager
@@ -231,7 +221,3 @@ def slurm_executor(folder: Path, jobs: int) -> Iterator[Executor]:
     executor._max_workers = jobs  # `_by_executor` reads the number of workers
     yield executor
     shutil.rmtree(folder, ignore_errors=True)
-
-
-def _warn(text: str) -> None:
-    print(f"vibrojax: warning: {text}", file=sys.stderr)

@@ -10,7 +10,7 @@ from vibrojax.errors import Place, shown
 from vibrojax.maps.read import check_run, completed, read_parameters, read_start
 from vibrojax.maps.starts import list_of
 from vibrojax.maps.sweep import Sweep
-from vibrojax.settings.names import Names, read_names
+from vibrojax.settings.names import read_names
 from vibrojax.settings.run_settings import read_settings
 from vibrojax.settings.toml import plain_table
 from vibrojax.settings.values import warn_if_far
@@ -50,8 +50,22 @@ def read_machines(
     lists, single = several_and_single(parameters)
     names = read_names(place.at("scene"), scene, single, place)
     settings = read_settings(place, {name: x for name, x in (run or {}).items() if x is not None}, names.system)
-    columns = _read_columns(place, names, lists)
-    number = len(next(iter(columns.values()))) if columns else 1
+    columns = dict[str, np.ndarray]()
+    for name, values in plain_table(place, lists, lambda: names.units).items():
+        here = place.at(name)
+        assert isinstance(values, list)
+        if name in names.options:
+            raise here.error(f"{shown(values)} is a list; it is chosen once for all")
+        if not values:
+            raise here.error("is empty; give a value")
+        read = names.preset if name in names.presets else names.quantity
+        columns[name] = np.array([read(here.item(index), name, value) for index, value in enumerate(values)])
+    sizes = {name: len(column) for name, column in columns.items()}
+    if len(set(sizes.values())) > 1:
+        lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
+        advice = "give one machine's values at the same place of each"
+        raise place.error(f"lists of different lengths ({lengths}); {advice}")
+    number = next(iter(sizes.values()), 1)
     fixed = read_parameters(place, plain_table(place, single, lambda: names.units), names)
     columns = {name: np.full(number, value) for name, value in (begin or {}).items()} | columns
     names.check_substitutes({name: place.at(name) for name in (*single, *columns)})
@@ -85,24 +99,3 @@ def several_and_single(parameters: Mapping[str, object]) -> tuple[dict[str, Any]
     """Split parameters into those with several values, a sequence or an array of any library, and the others."""
     several = {name: x for name, x in parameters.items() if isinstance(x, (list, tuple)) or getattr(x, "ndim", 0) > 0}
     return several, {name: x for name, x in parameters.items() if name not in several}
-
-
-def _read_columns(place: Place, names: Names, lists: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Return the validated values in which machines differ, each (machines,)."""
-    columns = {}
-    for name, values in plain_table(place, lists, lambda: names.units).items():
-        here = place.at(name)
-        assert isinstance(values, list)
-        if name in names.options:
-            raise here.error(f"{shown(values)} is a list; it is chosen once for all")
-        if not values:
-            raise here.error("is empty; give a value")
-        read = names.preset if name in names.presets else names.quantity
-        columns[name] = np.array([read(here.item(index), name, value) for index, value in enumerate(values)])
-    sizes = {name: len(column) for name, column in columns.items()}
-    if len(set(sizes.values())) > 1:
-        lengths = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise place.error(
-            f"lists of different lengths ({lengths}); give one machine's values at the same place of each"
-        )
-    return columns

@@ -36,8 +36,6 @@ POINTS = "points."
 
 _PLACE = Place("dataset")
 
-_NO_SWEEP = 'it has no attribute sweep; combine_attrs="override" keeps that of joined datasets'
-
 RERUN_LANE_MAX_STEPS = 2e6
 """Estimated steps of a lane above which a dataset's sweep is not run again; a dataset may come from any source. The
 hardest bundled lanes take 1e6 steps."""
@@ -121,9 +119,8 @@ def check_same_motions(stored: xr.Dataset, result: xr.Dataset) -> None:
         return
     if not all(name in stored and set(stored[name].dims) == set(result[name].dims) for name in names):
         return
-    (before, cycles), (now, _) = (
-        [np.asarray(ds[name].transpose(*result[name].dims)) for name in names] for ds in (stored, result)
-    )
+    before, cycles = (np.asarray(stored[name].transpose(*result[name].dims)) for name in names)
+    now = result["period"].values
     if before.shape != now.shape:
         return
     known = np.isfinite(before) & np.isfinite(now) & (cycles > 0) & (result["stable"].values == 1)
@@ -169,7 +166,8 @@ def _lanes_of_dataset(dataset: xr.Dataset, orbits: bool) -> tuple[Sweep, bool]:
         tables = tomllib.loads(str(dataset.attrs["sweep"]))
     except (KeyError, ValueError, RecursionError):
         kind = kind_of(dataset)
-        why = f"its kind is {kind}" if kind and kind != "sweep" else _NO_SWEEP
+        why = 'it has no attribute sweep; combine_attrs="override" keeps that of joined datasets'
+        why = f"its kind is {kind}" if kind and kind != "sweep" else why
         raise InputError(f"not the dataset of a sweep ({why}); give one, or a sweep") from None
     before = dict(table_of(dataset, IDENTITY))
     for name in ("attractors", "borders", "sensitivity"):  # these entries belong to derived results, not to the sweep
@@ -194,7 +192,13 @@ def _lanes_of_dataset(dataset: xr.Dataset, orbits: bool) -> tuple[Sweep, bool]:
     sweep = stored
     if kind_of(dataset) != "borders":  # their coordinates are not those of lanes
         sweep = at_coordinates(stored, dataset.coords)
-    check_dimensions(dataset, sweep)
+    for name in ("status", "orbit_reason", "lane_attractor", "valid"):
+        for dimension in dataset[name].dims if name in dataset else ():
+            if dimension not in sweep.dims:
+                raise InputError(
+                    f"dataset: lanes are along {shown(str(dimension))}, which is neither a parameter of the scene "
+                    "nor the start; select one value with isel"
+                )
     return sweep, edited or sweep is not stored
 
 
@@ -240,19 +244,15 @@ def at_coordinates(sweep: Sweep, coords: Coordinates) -> Sweep:
         tables |= {"parameters": fixed, "grid": grid}
         if not grid:
             del tables["grid"]
-    lanes = with_numbered_starts(_read(sweep, tables), coords)
-    return sweep if lanes.identity() == sweep.identity() else lanes
-
-
-def _read(sweep: Sweep, tables: dict[str, Any]) -> Sweep:
-    """Return the sweep of other `tables`, with the objects of `sweep`, which may have no name."""
     text = render(plain_table(_PLACE, tables))
+    # The objects of the sweep, which may have no name.
     fixed = {name: x for name, x in tables.get("parameters", {}).items() if name not in sweep.options}
-    tables = tables | {"scene": sweep.system, "parameters": fixed}
+    tables |= {"scene": sweep.system, "parameters": fixed}
     if "method" in tables.get("run", {}):
         tables["run"] = tables["run"] | {"method": sweep.run.stepper}
     kept = {name: getattr(sweep, name) for name in ("name", "file", "title", "options", "run")}
-    return replace(read_sweep(tables), text=text, **kept)
+    lanes = with_numbered_starts(replace(read_sweep(tables), text=text, **kept), coords)
+    return sweep if lanes.identity() == sweep.identity() else lanes
 
 
 def with_numbered_starts(sweep: Sweep, coords: Coordinates) -> Sweep:
@@ -335,14 +335,3 @@ def _start(label: object, row: tuple[float, ...], before: Starts) -> Start:
     if isinstance(written, str) or (written in known) == (row in known):
         raise _PLACE.at("start").error(f"{shown(label)} is not at the states {shown(list(row))}; change both, or one")
     return row if written in known else written
-
-
-def check_dimensions(dataset: xr.Dataset, sweep: Sweep) -> None:
-    """Raise `InputError` if the dataset has a dimension along which its lanes have no values of the sweep."""
-    for name in ("status", "orbit_reason", "lane_attractor", "valid"):
-        for dimension in dataset[name].dims if name in dataset else ():
-            if dimension not in sweep.dims:
-                raise InputError(
-                    f"dataset: lanes are along {shown(str(dimension))}, which is neither a parameter of the scene "
-                    "nor the start; select one value with isel"
-                )

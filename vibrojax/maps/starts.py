@@ -134,11 +134,12 @@ def _read_many(place: Place, table: dict[str, object], names: Names) -> Starts:
     if kind is None:
         raise place.error(f"neither a sample nor a plane; write one like {' or '.join(examples(states))}")
     many = kind.read(place, table)
-    columns, at = many.columns(place, states), _of_states(place.at("at"), many.at, states)
-    for name in at:
+    columns = many.columns(place, states)
+    known_keys(place.at("at"), many.at, states)
+    for name in many.at:
         if name in columns:
             raise place.at("at").at(name).error("varies already; leave it out")
-    fixed = {name: quantity(place.at("at").at(name), x, STATE) for name, x in at.items()}
+    fixed = {name: quantity(place.at("at").at(name), x, STATE) for name, x in many.at.items()}
     rows = len(next(iter(columns.values())))
     vectors = np.stack([columns.get(name, np.full(rows, fixed.get(name, 0.0))) for name in states], axis=1)
     return Starts((), states, np.zeros(rows, int), vectors, listed=False)
@@ -158,11 +159,11 @@ class _Sample(Settings):
 
     def columns(self, place: Place, states: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Return the sampled states by name, each (count,)."""
-        box = _of_states(place.at("box"), self.box, states)
-        if not box:
+        known_keys(place.at("box"), self.box, states)
+        if not self.box:
             raise place.at("box").error(f"empty; write one like {examples(states)[0]}")
         sides = []
-        for name, side in box.items():
+        for name, side in self.box.items():
             here = place.at("box").at(name)
             sides.append(read_pair(here, side, "a side of a box; write its two ends, like [-0.05, 0.05]", STATE))
             if not sides[-1][0] < sides[-1][1]:
@@ -171,11 +172,11 @@ class _Sample(Settings):
         low, high = np.array(sides).T
         random = np.random.default_rng(self.seed)
         if self.sample == "sobol":
-            sobol = qmc.Sobol(len(box), rng=random)
+            sobol = qmc.Sobol(len(sides), rng=random)
             unit = np.asarray(sobol.random_base2((self.count - 1).bit_length())[: self.count])
         else:
-            unit = random.random((self.count, len(box)))
-        return dict(zip(box, (low + (high - low) * unit).T, strict=True))
+            unit = random.random((self.count, len(sides)))
+        return dict(zip(self.box, (low + (high - low) * unit).T, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,19 +189,13 @@ class _Plane(Settings):
     def columns(self, place: Place, states: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Return the states by name, each (starts,)."""
         here = place.at("plane")
-        axes = _of_states(here, self.plane, states)
-        if not axes:
+        known_keys(here, self.plane, states)
+        if not self.plane:
             raise here.error(f"empty; write one like {examples(states)[1]}")
-        values = [read_axis(here.at(name), axis, STATE) for name, axis in axes.items()]
+        values = [read_axis(here.at(name), axis, STATE) for name, axis in self.plane.items()]
         if prod(map(len, values)) > AXIS_MAX_VALUES:
             raise here.error(f"{prod(map(len, values))} starts are too many; {AXIS_MAX_VALUES} at most")
-        return dict(zip(axes, map(np.ravel, np.meshgrid(*values, indexing="ij")), strict=True))
-
-
-def _of_states(place: Place, table: dict[str, object], states: tuple[str, ...]) -> dict[str, object]:
-    """Return the table; raise if a key is not a state of the scene."""
-    known_keys(place, table, states)
-    return table
+        return dict(zip(self.plane, map(np.ravel, np.meshgrid(*values, indexing="ij")), strict=True))
 
 
 def read_points(place: Place, value: object, folder: Path, names: Names) -> tuple[dict[str, np.ndarray], Starts | None]:
@@ -292,7 +287,14 @@ def _points(
         if state in states and name != state:
             vectors[state] = np.array([quantity(place_of(name, i), value, STATE) for i, value in enumerate(column)])
         elif name != "start" and name not in names.presets:
-            columns[name] = _numbers(column, name, place_of, names)
+            parameter = names.parameter(place_of(name, 0), name)
+            if isinstance(column, array) or all(type(value) is float for value in column):
+                values = np.array(column)
+                # Admissible values form an interval. If minimum and maximum are in it, all cells are.
+                if parameter.problem(values.min()) is None and parameter.problem(values.max()) is None:
+                    columns[name] = values
+                    continue
+            columns[name] = np.array([names.quantity(place_of(name, i), name, value) for i, value in enumerate(column)])
     for name in names.presets:
         if name in cells:
             chosen = [names.preset(place_of(name, i), name, cell) for i, cell in enumerate(cells[name])]
@@ -303,14 +305,3 @@ def _points(
         rows = np.stack([vectors[name] for name in states], axis=1)
         starts = Starts((), states, np.zeros(len(rows), int), rows)
     return columns, starts
-
-
-def _numbers(column: Sequence[Any], name: str, place_of: CellPlace, names: Names) -> np.ndarray:
-    """Return the validated values of the parameter called `name`, float64 (points,)."""
-    parameter = names.parameter(place_of(name, 0), name)
-    if isinstance(column, array) or all(type(value) is float for value in column):
-        values = np.array(column)
-        # Admissible values form an interval. If minimum and maximum are in it, all cells are.
-        if parameter.problem(values.min()) is None and parameter.problem(values.max()) is None:
-            return values
-    return np.array([names.quantity(place_of(name, index), name, value) for index, value in enumerate(column)])

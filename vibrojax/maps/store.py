@@ -28,9 +28,6 @@ CHUNKS = ".chunks"
 FORMAT = 2
 """Version of the format of stored chunks; chunks of another version are refused."""
 
-_LOCK_PATIENCE = 0.2
-"""Time [s] to wait for the lock, so that a process that is just ending can release it and remove its file."""
-
 _NUMBERS = re.compile(r"[<>|][biuf]\d")
 """Types of the arrays that are stored: booleans and real numbers."""
 
@@ -74,19 +71,19 @@ class Store:
 
     def write(self, index: int, arrays: Arrays) -> None:
         """Store the arrays of a chunk; on return, the file is complete on the disk."""
-        content = BytesIO()
+        content, (path, owner) = BytesIO(), self._file(index)
         with zipfile.ZipFile(content, "w") as file:
-            file.comment = self._owner(index)
+            file.comment = owner
             for name, x in arrays.items():
                 file.writestr(zipfile.ZipInfo(json.dumps([name, x.dtype.str, x.shape])), x.tobytes())  # without a date
-        self._put(self._path(index), content.getbuffer())
+        self.put(path, content.getbuffer())
 
     def read(self, index: int) -> dict[str, np.ndarray] | None:
         """Return the arrays of a chunk by name; None, with a warning on stderr, if the file is missing or damaged."""
-        path, arrays = self._path(index), dict[str, np.ndarray]()
+        (path, owner), arrays = self._file(index), dict[str, np.ndarray]()
         try:
             with zipfile.ZipFile(path) as file:
-                if file.comment != self._owner(index):
+                if file.comment != owner:
                     raise ValueError("of another sweep or chunk")
                 for info in file.infolist():
                     name, kind, shape = json.loads(info.filename)
@@ -102,11 +99,6 @@ class Store:
         print(f"vibrojax: warning: {path}: {problem}; computed again", file=sys.stderr)
         return None
 
-    def write_manifest(self) -> None:
-        """Store the manifest, to which all chunks belong."""
-        content = {"sha256": self._digest, "manifest": self.manifest}
-        self._put(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
-
     def clear(self, chunks: bool) -> None:
         """Remove leftovers of killed processes and, with `chunks`, the finished chunks; other files stay."""
         for path in self.folder.iterdir():
@@ -117,17 +109,13 @@ class Store:
         """Remove the chunks; the folder follows when it is closed, unless it holds other files."""
         self.clear(chunks=True)
         (self.folder / MANIFEST).unlink(missing_ok=True)
-        with suppress(PermissionError):  # Windows cannot delete an open file; releasing the lock removes it
-            (self.folder / LOCK).unlink(missing_ok=True)  # while no other process can hold the lock
+        (self.folder / LOCK).unlink(missing_ok=True)  # while no other process can hold the lock
 
-    def _path(self, index: int) -> Path:
-        return self.folder / f"chunk-{index:08d}.zip"
+    def _file(self, index: int) -> tuple[Path, bytes]:
+        """Return the path of a chunk, and its owner: the digest of the manifest, with the index."""
+        return self.folder / f"chunk-{index:08d}.zip", f"{self._digest} {index}".encode()
 
-    def _owner(self, index: int) -> bytes:
-        """Return the digest of the manifest and the index, to which a file belongs."""
-        return f"{self._digest} {index}".encode()
-
-    def _put(self, path: Path, content: bytes | memoryview) -> None:
+    def put(self, path: Path, content: bytes | memoryview) -> None:
         """Write a file that is complete or absent, even after a power failure."""
         temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
         try:
@@ -163,38 +151,27 @@ def open_store(folder: Path, manifest: Mapping[str, object], resume: bool) -> It
     if before is None and path.exists() and not store.indices():
         line = f"{path}: exists already, and does not say that vibrojax wrote it"
         raise InputError(f"{line}; give another output, or remove it")
-    with _locked(folder / LOCK):
+    # The operating system locks the open file, and releases the lock when the process ends, even if it is killed. A
+    # file that remains therefore blocks no other process. On a file system without locks there is no protection. A
+    # process that is just ending has 0.2 s for it. Any thread may release the lock: a sweep runs in one of its own.
+    lock = FileLock(folder / LOCK, timeout=0.2, thread_local=False)
+    try:
+        lock.acquire()  # creates the folder again if another process has just finished and removed it
+    except Timeout:
+        raise InputError(f"{folder}: another process is at work there; wait for it, or give another output") from None
+    except OSError as error:
+        if error.filename is not None:  # the file could not even be opened
+            raise InputError(f"{folder / LOCK}: cannot be written ({error.strerror}); give another output") from None
+    try:
         # Without an intact manifest, each chunk itself shows that it belongs to another sweep.
         if resume and before and store.indices() and (differences := changes(before, store.manifest)):
             advice = "--fresh starts over, or give another output"
             raise InputError(f"{folder}: holds chunks of another sweep: {differences}; {advice}")
         store.clear(chunks=not resume)
-        store.write_manifest()
+        content = {"sha256": digest(store.manifest), "manifest": store.manifest}
+        store.put(path, json.dumps(content, indent=1).encode())
         yield store
-    with suppress(OSError):  # the folder is not empty
-        folder.rmdir()
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold an exclusive lock on the file at `path` for a `with` block.
-
-    The operating system locks the open file, and releases the lock when the process ends, even if it is killed. A file
-    that remains therefore blocks no other process. On a file system without locks there is no protection.
-
-    **Raises:** `InputError` if another process holds the lock, or the file is not writable.
-    """
-    # Any thread may release it: a sweep runs in a thread of its own.
-    lock = FileLock(path, timeout=_LOCK_PATIENCE, thread_local=False)
-    try:
-        lock.acquire()  # creates the folder again if another process has just finished and removed it
-    except Timeout:
-        line = f"{path.parent}: another process is at work there; wait for it, or give another output"
-        raise InputError(line) from None
-    except OSError as error:
-        if error.filename is not None:  # the file could not even be opened
-            raise InputError(f"{path}: cannot be written ({error.strerror}); give another output") from None
-    try:
-        yield
     finally:
         lock.release()
+    with suppress(OSError):  # the folder is not empty
+        folder.rmdir()

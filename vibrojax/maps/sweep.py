@@ -212,7 +212,15 @@ class Sweep:
         fixed |= {f"parameters.{name}": value for name, value in self.parameters.items()}
         if isinstance(self.system, HasRock) and "bit_radius" in self.given:
             fixed["parameters.bit_radius"] = self.given["bit_radius"]
-        fixed |= {name: _outline(column) for name, column in varied.items()}
+        for name, column in varied.items():
+            if column.size <= _MAX_LISTED:
+                fixed[name] = column.tolist()
+            elif column.dtype.kind == "U":
+                digest = hashlib.sha256("\n".join(column.tolist()).encode()).hexdigest()[:16]
+                fixed[name] = f"{column.size} names, sha256 {digest}"
+            else:
+                digest = hashlib.sha256(np.ascontiguousarray(column).astype("<f8").tobytes()).hexdigest()[:16]
+                fixed[name] = f"{column.size} values from {column[0]:g} to {column[-1]:g}, sha256 {digest}"
         return fixed | {f"run.{name}": value for name, value in self.run.described().items()}
 
     def _sizes(self, dims: tuple[str, ...]) -> tuple[int, ...]:
@@ -234,14 +242,3 @@ def with_substitutes(scene: Scene[Any], values: Mapping[str, Any]) -> dict[str, 
             rows = [parameters[str(name)] for name in values.pop(preset)]
             values |= {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return resolved(values, substitutes(scene.parameters()))
-
-
-def _outline(column: np.ndarray) -> object:
-    """Return a column as a JSON value: its values if it is short, else a line with size, ends and checksum."""
-    if column.size <= _MAX_LISTED:
-        return column.tolist()
-    if column.dtype.kind == "U":
-        digest = hashlib.sha256("\n".join(column.tolist()).encode()).hexdigest()[:16]
-        return f"{column.size} names, sha256 {digest}"
-    digest = hashlib.sha256(np.ascontiguousarray(column).astype("<f8").tobytes()).hexdigest()[:16]
-    return f"{column.size} values from {column[0]:g} to {column[-1]:g}, sha256 {digest}"

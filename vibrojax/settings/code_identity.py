@@ -31,15 +31,13 @@ _GENERATED = "<string>"
 _ARRAYS = ("jax", "jaxlib")
 """Packages whose objects with `__array__` are arrays; jax itself need not be imported to recognise them."""
 
-_CODE = "code."
-
 _FIRST: dict[Scene[Any], dict[str, object]] = {}
 """Digests at the first use of each scene in this process, under the key under which its compiled code is kept."""
 
 
 def is_code(name: str) -> bool:
     """Return whether `name` is the key of a digest of code in an identity."""
-    return name.startswith(_CODE)
+    return name.startswith("code.")
 
 
 def code_identity(scene: Scene[Any], options: Iterable[str] = (), **others: object) -> dict[str, object]:
@@ -52,10 +50,10 @@ def code_identity(scene: Scene[Any], options: Iterable[str] = (), **others: obje
     gauges = [GAUGES.get(gauge, gauge) for gauge in scene.measures]
     roots = {"scene": [type(scene), *settings, *gauges], **{name: [getattr(scene, name)] for name in options}}
     roots |= {name: [value] for name, value in others.items()}
-    digests = {f"{_CODE}{name}": code_digest(*parts) for name, parts in roots.items()}
+    digests = {f"code.{name}": code_digest(*parts) for name, parts in roots.items()}
     found: dict[str, object] = {name: digest for name, digest in digests.items() if digest is not None}
     first = _FIRST.setdefault(scene, found)
-    if any(first.get(name) != found.get(name) for name in {*first, *found} - {f"{_CODE}{name}" for name in others}):
+    if any(first.get(name) != found.get(name) for name in {*first, *found} - {f"code.{name}" for name in others}):
         text = "a value that its functions use has changed since its first run, which compiled code does not see"
         raise InputError(f'scene "{scene.name}": {text}; define it again, or make the value a parameter')
     return found
@@ -86,47 +84,40 @@ class _Walk:
         self.parts: list[str] = []
         self.has_code = False
         self._seen: dict[int, object] = {}
-        self._referrer: str | None = None  # top-level module of the code that refers to the visited object
-        self._searching = False  # whether only code counts, not constants
 
-    def visit(self, x: Any) -> None:
+    def visit(self, x: Any, referrer: str | None = None, searching: bool = False) -> None:
+        """Visit an object once; `referrer`: top-level module of the code that refers to it.
+
+        `searching`: whether only code counts, not constants.
+        """
         if x is None or isinstance(x, (bool, int, float, complex, str, bytes)):
-            if not self._searching:
+            if not searching:
                 self.parts.append(repr(x))
             return
         if id(x) in self._seen:
             return
         self._seen[id(x)] = x
-        if isinstance(x, (np.ndarray, np.generic)) or (_top(type(x).__module__) in _ARRAYS and hasattr(x, "__array__")):
-            if self._searching:
-                return
-            array = np.ascontiguousarray(x)
-            self.parts.append(f"{array.dtype.str} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}")
+        kind, top = type(x), _top(type(x).__module__)
+        if isinstance(x, (np.ndarray, np.generic)) or (top in _ARRAYS and hasattr(x, "__array__")):
+            if not searching:
+                array = np.ascontiguousarray(x)
+                self.parts.append(f"{array.dtype.str} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}")
         elif isinstance(x, FunctionType):
-            self._visit_function(x)
+            self._visit_function(x, referrer)
         elif isinstance(x, type):
-            self._visit_class(x)
+            self._visit_class(x, referrer, searching)
         elif isinstance(x, (ModuleType, Parameter)):
             return  # the values of parameters are in the identity already
-        elif _top(type(x).__module__) == _PACKAGE and not is_dataclass(x) and not isinstance(x, tuple):
-            # What the package derived from the user's functions is found again from them.
-            kind = type(x)
-            self._search(v for k, v in vars(x).items() if not isinstance(getattr(kind, k, None), cached_property))
+        elif top == _PACKAGE and not is_dataclass(x) and not isinstance(x, tuple):
+            for name, value in vars(x).items():  # what is derived from the user's functions is found again from them
+                if not isinstance(getattr(kind, name, None), cached_property):
+                    self.visit(value, referrer, searching=True)
         else:
-            searching = self._searching
-            self._searching = searching and isinstance(x, (dict, MappingProxyType, list, tuple, set, frozenset))
-            for part in self._parts_of(x):
-                self.visit(part)
-            self._searching = searching
+            searching = searching and isinstance(x, (dict, MappingProxyType, list, tuple, set, frozenset))
+            for part in self._parts_of(x, referrer):
+                self.visit(part, referrer, searching)
 
-    def _search(self, parts: Iterable[Any]) -> None:
-        """Visit the user's code to which these parts lead."""
-        searching, self._searching = self._searching, True
-        for part in parts:
-            self.visit(part)
-        self._searching = searching
-
-    def _parts_of(self, x: Any) -> Iterator[Any]:
+    def _parts_of(self, x: Any, referrer: str | None) -> Iterator[Any]:
         """Yield the objects on which `x` depends, which is neither a function nor a class."""
         if isinstance(x, (dict, MappingProxyType)):
             yield from (part for item in x.items() for part in item)
@@ -144,58 +135,50 @@ class _Walk:
             yield x.func
         elif hasattr(x, "__wrapped__"):  # such as a function compiled by `jax.jit`
             yield x.__wrapped__
-        elif self._follows(type(x).__module__):
+        elif _follows(type(x).__module__, referrer):
             yield from (type(x), dict(getattr(x, "__dict__", {})))
         elif is_dataclass(x):
             # Names and references of the package's own classes do not affect results.
             yield from (getattr(x, field.name) for field in fields(x) if field.name not in ("name", "reference"))
 
-    def _visit_function(self, function: FunctionType) -> None:
-        cells = []
+    def _visit_function(self, function: FunctionType, referrer: str | None) -> None:
+        cells, top = [], _top(function.__module__)
         for cell in function.__closure__ or ():
             with suppress(ValueError):  # the cell is empty
                 cells.append(cell.cell_contents)
-        if not self._follows(function.__module__):
-            if _top(function.__module__) == _PACKAGE:
-                self._search(cells)
+        if not _follows(function.__module__, referrer):
+            for content in cells if top == _PACKAGE else ():
+                self.visit(content, referrer, searching=True)
             return
         self.has_code = True
         self.parts += [function.__qualname__, _source(function.__code__)]
-        referrer, self._referrer = self._referrer, _top(function.__module__)
-        searching, self._searching = self._searching, False
-        for content in cells:
-            self.visit(content)
-        self.visit(function.__defaults__)
-        self.visit(function.__kwdefaults__)
+        for content in (*cells, function.__defaults__, function.__kwdefaults__):
+            self.visit(content, top)
         names = sorted(_names(function.__code__))
         for value in (function.__globals__[name] for name in names if name in function.__globals__):
-            if isinstance(value, ModuleType) and self._follows(value.__name__):
-                for name in names:
-                    self.visit(getattr(value, name, None))
-            else:
-                self.visit(value)
-        self._referrer, self._searching = referrer, searching
+            used = isinstance(value, ModuleType) and _follows(value.__name__, top)
+            for part in (getattr(value, name, None) for name in names) if used else (value,):
+                self.visit(part, top)
 
-    def _visit_class(self, kind: type) -> None:
+    def _visit_class(self, kind: type, referrer: str | None, searching: bool) -> None:
         for base in kind.__mro__:
-            if not self._follows(base.__module__):
+            if not _follows(base.__module__, referrer):
                 continue
-            self.has_code = True
-            referrer, self._referrer = self._referrer, _top(base.__module__)
+            self.has_code, top = True, _top(base.__module__)
             self.parts.append(base.__qualname__)
             for name, value in vars(base).items():
                 # Of the special methods, those that are the user's, not generated by `dataclass`.
                 written = isinstance(value, FunctionType) and value.__code__.co_filename != _GENERATED
-                own = written and name != "__repr__" and self._follows(value.__module__)
+                own = written and name != "__repr__" and _follows(value.__module__, top)
                 if own or not name.startswith("__"):
                     self.parts.append(name)
-                    self.visit(value)
-            self._referrer = referrer
+                    self.visit(value, top, searching)
 
-    def _follows(self, module: str | None) -> bool:
-        """Return whether the code of a module counts: it is neither known nor a library that the user's code uses."""
-        top = _top(module)
-        return top not in _KNOWN and (self._referrer in (None, top) or not _is_installed(top))
+
+def _follows(module: str | None, referrer: str | None) -> bool:
+    """Return whether the code of a module counts: it is neither known nor a library that the user's code uses."""
+    top = _top(module)
+    return top not in _KNOWN and (referrer in (None, top) or not _is_installed(top))
 
 
 def _top(module: str | None) -> str:

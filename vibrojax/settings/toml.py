@@ -118,28 +118,22 @@ def with_changes(source: Source, words: Iterable[str]) -> Source:
             value = tomllib.loads(f"value = {text}")["value"]
         except (ValueError, RecursionError):
             value = text
-        _set(place.at(name), tables, name, value)
+        here, (table, dot, key) = place.at(name), name.partition(".")
+        if dot and table not in TABLES:
+            raise here.error(f"unknown table {shown(table)}; {suggestion(table, TABLES)}")
+        if not dot:
+            key, varies = name, isinstance(value, (list, dict))
+            is_setting = name in RunSettings.__dataclass_fields__
+            table = "" if name in TOP_KEYS else "run" if is_setting else "grid" if varies else "parameters"
+        if table in ("parameters", "grid"):
+            for former in (tables.get("parameters"), tables.get("grid")):
+                if isinstance(former, dict):
+                    former.pop(key, None)
+        home = tables.setdefault(table, {}) if table else tables
+        if not isinstance(home, dict):
+            raise here.error(f"[{table}] is not a table in the sweep; nothing can be set in it")
+        home[key] = value
     return replace(source, tables=tables, text=render(tables))
-
-
-def _set(place: Place, tables: dict[str, object], name: str, value: object) -> None:
-    """Set one value in `tables`, which is modified in place."""
-    table, dot, key = name.partition(".")
-    if dot and table not in TABLES:
-        raise place.error(f"unknown table {shown(table)}; {suggestion(table, TABLES)}")
-    if not dot:
-        key, varies = name, isinstance(value, (list, dict))
-        is_setting = name in RunSettings.__dataclass_fields__
-        table = "" if name in TOP_KEYS else "run" if is_setting else "grid" if varies else "parameters"
-    if table in ("parameters", "grid"):
-        for other in ("parameters", "grid"):
-            former = tables.get(other)
-            if isinstance(former, dict):
-                former.pop(key, None)
-    home = tables.setdefault(table, {}) if table else tables
-    if not isinstance(home, dict):
-        raise place.error(f"[{table}] is not a table in the sweep; nothing can be set in it")
-    home[key] = value
 
 
 def bundled_names(noun: str = "sweep") -> list[str]:
@@ -225,10 +219,10 @@ def render(table: Mapping[str, object]) -> str:
 
     Scenes, friction laws and steppers are represented by their names.
     """
-    values = [_line(key, value) for key, value in table.items() if not isinstance(value, dict)]
+    values = "\n".join(_line(key, value) for key, value in table.items() if not isinstance(value, dict))
     sections = [(key, value) for key, value in table.items() if isinstance(value, dict)]
     parts = ["\n".join([f"[{_key(key)}]", *(_line(*item) for item in value.items())]) for key, value in sections]
-    return "\n\n".join(part for part in ("\n".join(values), *parts) if part) + "\n"
+    return "\n\n".join(part for part in (values, *parts) if part) + "\n"
 
 
 def _line(key: str, value: object) -> str:
