@@ -111,22 +111,16 @@ def _versions() -> str | None:
 
 
 def _is_patched() -> bool:
-    """Return whether a function or class of this package was replaced by the user's. Other values are not noticed."""
+    """Return whether a function or class of this package, or a method of one, was replaced by the user's.
+
+    Other values are not noticed.
+    """
     modules = [module for name, module in sys.modules.copy().items() if _top(name) == _PACKAGE]
     values = {id(value): value for module in modules for value in list(vars(module).values())}  # modules share most
-    return any(_is_replaced(value) for value in values.values() if isinstance(value, (FunctionType, type)))
-
-
-def _is_replaced(value: FunctionType | type) -> bool:
-    """Return whether a value is a function or class from outside, or a class of this package with such a method."""
-    if isinstance(value, type) and _top(value.__module__) == _PACKAGE:
-        return any(isinstance(part, FunctionType) and _is_users(part.__module__) for part in vars(value).values())
-    return _is_users(value.__module__)
-
-
-def _is_users(module: str | None) -> bool:
-    """Return whether a module is neither of a known nor of another library."""
-    return _top(module) not in KNOWN and not _is_library(_top(module))
+    found = [value for value in values.values() if isinstance(value, (FunctionType, type))]
+    own = (value for value in found if isinstance(value, type) and _top(value.__module__) == _PACKAGE)
+    found += [part for kind in own for part in vars(kind).values() if isinstance(part, FunctionType)]
+    return not all(_top(value.__module__) in KNOWN or _is_library(_top(value.__module__)) for value in found)
 
 
 class _Walk:
