@@ -114,7 +114,7 @@ def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     if axes is None:
         first, second = sorted(long, key=lambda name: -long[name])[:2]
         axes = ("gamma", "beta") if {"gamma", "beta"} <= long.keys() else (first, second)
-    if len(axes) != 2 or axes[0] == axes[1] or any(name not in long for name in axes):
+    if not isinstance(axes, tuple | list) or len(axes) != 2 or {*map(str, axes)} - long.keys() or axes[0] == axes[1]:
         raise InputError(f"borders: axes {shown(axes)} are not two axes of the sweep; choose from {', '.join(long)}")
     for name in (name for name in (*axes, *sweep.parameters) if name in substitutes(sweep.system.parameters())):
         formula = ": gamma = striker_frequency/bit_frequency" if name == "striker_frequency" else ""
