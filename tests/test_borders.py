@@ -143,6 +143,7 @@ def test_sweep_without_plane_is_refused(sweep):
         with pytest.raises(vj.InputError, match=message):
             vj.borders(SWEEP | change, progress=False)
     assert "is not between 0.3 and 0.5" in refusal(vj.borders, sweep, at={"beta": 0.6}, progress=False)
+    assert "axes 5 are not two axes of the sweep" in refusal(vj.borders, sweep, axes=5, progress=False)
 
 
 def test_command(command, capsys, monkeypatch):

@@ -111,22 +111,16 @@ def _versions() -> str | None:
 
 
 def _is_patched() -> bool:
-    """Return whether a function or class of this package was replaced by the user's. Other values are not noticed."""
+    """Return whether a function or class of this package, or a method of one, was replaced by the user's.
+
+    Other values are not noticed.
+    """
     modules = [module for name, module in sys.modules.copy().items() if _top(name) == _PACKAGE]
     values = {id(value): value for module in modules for value in list(vars(module).values())}  # modules share most
-    return any(_is_replaced(value) for value in values.values() if isinstance(value, (FunctionType, type)))
-
-
-def _is_replaced(value: FunctionType | type) -> bool:
-    """Return whether a value is a function or class from outside, or a class of this package with such a method."""
-    if isinstance(value, type) and _top(value.__module__) == _PACKAGE:
-        return any(isinstance(part, FunctionType) and _is_users(part.__module__) for part in vars(value).values())
-    return _is_users(value.__module__)
-
-
-def _is_users(module: str | None) -> bool:
-    """Return whether a module is neither of a known nor of another library."""
-    return _top(module) not in KNOWN and not _is_library(_top(module))
+    found = [value for value in values.values() if isinstance(value, (FunctionType, type))]
+    own = (value for value in found if isinstance(value, type) and _top(value.__module__) == _PACKAGE)
+    found += [part for kind in own for part in vars(kind).values() if isinstance(part, FunctionType)]
+    return not all(_top(value.__module__) in KNOWN or _is_library(_top(value.__module__)) for value in found)
 
 
 class _Walk:
@@ -151,7 +145,11 @@ class _Walk:
         if name := _known_name(x):
             self.parts.append(f"known {name}")
         elif isinstance(x, np.ndarray | np.generic):
-            self._visit_array(x)
+            if x.dtype.hasobject:
+                raise Unidentified("an array of objects")
+            self.visit(type(x))
+            array = np.ascontiguousarray(x)
+            self.parts.append(f"array {array.dtype.str} {np.shape(x)} {sha256(array.tobytes()).hexdigest()}")
         elif isinstance(x, np.dtype):
             self.parts.append(f"dtype {x.str}")
         elif isinstance(x, FunctionType | type) and _is_library(_top(x.__module__)):
@@ -169,15 +167,9 @@ class _Walk:
             for part in self._parts_of(x):
                 self.visit(part)
 
-    def _visit_array(self, x: Any) -> None:
-        if x.dtype.hasobject:
-            raise Unidentified("an array of objects")
-        self.visit(type(x))
-        array = np.ascontiguousarray(x)
-        self.parts.append(f"array {array.dtype.str} {np.shape(x)} {sha256(array.tobytes()).hexdigest()}")
-
     def _parts_of(self, x: Any) -> Iterator[Any]:
         """Yield what decides about an object that is neither a number, an array, a function nor a class."""
+        jax: Any = sys.modules.get("jax")  # without classes while another thread imports it
         if isinstance(x, partial):
             yield from (x.func, x.args, x.keywords)
         elif isinstance(x, MethodType):
@@ -192,7 +184,7 @@ class _Walk:
             yield dict(x)
         elif hasattr(x, "__wrapped__") and (type(x).__module__ or "").partition(".")[0] in KNOWN:
             yield x.__wrapped__  # a function compiled by `jax.jit`, or with a cache
-        elif _is_jax_array(x):
+        elif isinstance(x, getattr(jax, "Array", ())) and not isinstance(x, jax.core.Tracer):
             yield from (repr(x.aval), np.asarray(x))
         else:
             yield type(x)
@@ -289,11 +281,6 @@ def _known_name(x: Any) -> str | None:
     except (KeyError, AttributeError):
         return None
     return f"{module}.{name}" if value is x else None
-
-
-def _is_jax_array(x: Any) -> bool:
-    jax: Any = sys.modules.get("jax")  # without classes while another thread imports it
-    return isinstance(x, getattr(jax, "Array", ())) and not isinstance(x, jax.core.Tracer)
 
 
 def _top(module: str | None) -> str:

@@ -23,8 +23,6 @@ than 16 values returns its results in the wrong order."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
-Options = tuple[tuple[str, int | str], ...]
-
 
 def compiler_options(platform: str) -> dict[str, int | str]:
     """Return XLA's options for functions of lanes on the devices of a platform, such as "cpu"."""
@@ -45,12 +43,12 @@ def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         @cache
-        def program(options: Options) -> Callable[P, R]:
-            return jax.jit(function, static_argnames=static, compiler_options=dict(options))
+        def program(platform: str) -> Callable[P, R]:
+            return jax.jit(function, static_argnames=static, compiler_options=compiler_options(platform))
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            return program(tuple(compiler_options(jax.default_backend()).items()))(*args, **kwargs)
+            return program(jax.default_backend())(*args, **kwargs)
 
         return call
 
@@ -58,9 +56,9 @@ def jitted(static: tuple[str, ...] = ()) -> Callable[[Callable[P, R]], Callable[
 
 
 @cache
-def evaluation(options: Options) -> Callable[..., Any]:
-    """Return `evaluate(function, *arrays)`, which compiles a function with these options and calls it."""
-    return lambda function, *arrays: jax.jit(function, compiler_options=dict(options))(*arrays)
+def evaluation(platform: str) -> Callable[..., Any]:
+    """Return `evaluate(function, *arrays)`, which compiles a function with a platform's options and calls it."""
+    return lambda function, *arrays: jax.jit(function, compiler_options=compiler_options(platform))(*arrays)
 
 
 class BoundProgram:

@@ -13,7 +13,7 @@ from vibrojax.compile import native
 from vibrojax.compile.agreement import check
 from vibrojax.compile.assembly import Untranslatable
 from vibrojax.compile.native import BoundKernel, kernel_for
-from vibrojax.compile.xla import BoundProgram, compiler_options, evaluation, jitted
+from vibrojax.compile.xla import BoundProgram, evaluation, jitted
 from vibrojax.lanes.programs import ProgramKey, settle_lanes
 from vibrojax.lazy import jnp
 from vibrojax.physics import elementary
@@ -92,8 +92,7 @@ class Programs:
         """Compile `EQUATION_FUNCTIONS` like the programs; raise `InputError` if one of them differs from numpy."""
         evaluate, compiler = _evaluate_by_kernel, f"llvmlite {llvmlite.__version__}"
         if self._platform is not None:
-            options = tuple(compiler_options(self._platform).items())
-            evaluate, compiler = evaluation(options), f"jaxlib {version('jaxlib')}"
+            evaluate, compiler = evaluation(self._platform), f"jaxlib {version('jaxlib')}"
         check(evaluate, EQUATION_FUNCTIONS, compiler, self._dtype, self.block)
 
     def bind(self, program: Callable[..., Any], *arguments: Any) -> BoundKernel | BoundProgram:

@@ -4,7 +4,6 @@ Known are the package's own analyses, those of installed packages, and those use
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -77,6 +76,15 @@ class Analysis(Settings):
     [vibrojax.studies.analysis.analyse][], or register the class under the entry point `vibrojax.analyses`, which adds
     the command `vibrojax KIND FILE`.
 
+    - `kind`: value of the attribute `kind` of the analysis's datasets, and name of the command; `command`: name of the
+      command, if it differs.
+    - `subject`: input of the command: "sweep", "machines" (a scene and its parameters, SCENE NAME=VALUE) or "file".
+    - `variables`: the variables that the analysis adds to its datasets by name, with unit, meaning, type and flags.
+    - `pictures`: rules that choose the picture of a dataset; the first rule that fits applies.
+    - `counted`: dimension of the analysis's datasets whose size the command prints.
+    - `view`: view in the explorer: "map", "curves" (over the map of a sweep), "families", "orbits", "motion", or
+      "plots" (only the picture and the summary).
+
     **Example:** the fraction of lanes in each regime
 
     >>> import xarray as xr
@@ -96,28 +104,12 @@ class Analysis(Settings):
     """
 
     subject: ClassVar[str] = "sweep"
-    """Kind of input of the command: "sweep", "machines" (a scene and its parameters, SCENE NAME=VALUE) or "file"."""
-
     kind: ClassVar[str] = ""
-    """Value of the attribute `kind` of the analysis's datasets, and name of the command."""
-
     command: ClassVar[str] = ""
-    """Name of the command, if it differs from `kind`."""
-
     variables: ClassVar[Mapping[str, Variable]] = {}
-    """A dict of the variables that the analysis adds to its datasets, with unit, meaning, type and flags."""
-
     pictures: ClassVar[Sequence[PictureRule]] = ()
-    """Rules that choose the picture of a dataset; the first rule that fits applies."""
-
     counted: ClassVar[str] = ""
-    """Dimension of the analysis's datasets whose size the command prints."""
-
     view: ClassVar[str] = "map"
-    """View in the explorer: "map", "curves" (over the map of a sweep), "families", "orbits", "motion" or "plots".
-
-    The view "plots" shows only the picture and the summary of a dataset.
-    """
 
     def view_of(self, ds: xr.Dataset) -> str:
         """Return the view of a dataset in the explorer."""
@@ -150,9 +142,8 @@ class Analysis(Settings):
         if over:
             refuse_overlays(over, "the dataset holds none")
         held, kind = Contents(ds), kind_of(ds)
-        for rule in self.pictures:
-            if rule.fits(held):
-                return rule.draw(ds)
+        if rule := next((rule for rule in self.pictures if rule.fits(held)), None):
+            return rule.draw(ds)
         needed = "a picture needs regime, rate_of_penetration, C along form, or a motion along time; the dataset holds "
         needed += ", ".join(str(name) for name in ds.data_vars) or "no variable"
         if type(self) is Analysis and kind:
@@ -162,14 +153,6 @@ class Analysis(Settings):
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         """Return the parts of a summary that only this kind of dataset has; `vibrojax info` prints them."""
         return []
-
-    def page_figures(self, ds: xr.Dataset) -> Sequence["Picture | Figure"]:
-        """Return the plots and figures that the explorer page shows of a dataset; by default those of its picture.
-
-        Plots on the page can be zoomed, saved as files and read with a cursor; a figure is shown as an image. A plot
-        over an axis of the dataset selects its lanes.
-        """
-        return [self.plots(ds)]
 
     def page_cells(self, ds: xr.Dataset) -> "tuple[xr.Dataset, Sweep | None] | None":
         """Return the cells that the explorer page shows beside the plots, and their sweep; by default none.
@@ -276,28 +259,13 @@ def analysis_named(kind: str) -> Analysis | None:
     if kind in _USED:
         return _USED[kind]
     entry = offered_analyses().get(kind)
-    return None if entry is None else load_analysis(entry)()
-
-
-def load_analysis(entry: Any) -> type[Analysis]:
-    """Import the analysis class of an entry point.
-
-    **Raises:** `InputError` with a one-line message if the class cannot be imported or is not an analysis of that kind.
-    """
-    place = f"entry point {GROUP}: {entry.name}"
+    if entry is None:
+        return None
+    place = f"entry point {GROUP}: {kind}"
     try:
         offered = entry.load()
     except Exception as error:  # third-party code may raise any exception
         raise InputError(f"{place}: cannot be imported ({printable(error, 200)})") from error
-    if not (isinstance(offered, type) and issubclass(offered, Analysis) and offered.kind == entry.name):
-        raise InputError(f"{place}: {shown(entry.value)} is not a subclass of Analysis with kind {shown(entry.name)}")
-    return offered
-
-
-def offered_variables() -> dict[str, Mapping[str, Variable]]:
-    """Return the variables of each analysis in installed packages, by kind; unloadable analyses are left out."""
-    variables = {}
-    for kind, entry in offered_analyses().items():
-        with suppress(InputError):  # the command of that analysis reports the error
-            variables[kind] = load_analysis(entry).variables
-    return variables
+    if not (isinstance(offered, type) and issubclass(offered, Analysis) and offered.kind == kind):
+        raise InputError(f"{place}: {shown(entry.value)} is not a subclass of Analysis with kind {shown(kind)}")
+    return offered()

@@ -3,9 +3,9 @@
 import _thread
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import partial
 from threading import Event, Lock, Thread, Timer
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -70,10 +70,7 @@ class Branch:
     ) -> None:
         self.point, self.by, self.at = point, tuple(by), at
         self.of = tuple(dict.fromkeys((*of, STABILITY, MARGIN)))
-        self._table = point.system.parameters()
-        self._scale = np.array([abs(point.parameters[name]) or 1.0 for name in by])
-        self._first: Orbits | None = None
-        self._slopes: OrbitFeatures | None = None
+        self._first: tuple[Orbits, OrbitFeatures] | None = None
         self._begun = False
         self._cached: dict[bytes, Evaluated] = {}
 
@@ -86,15 +83,15 @@ class Branch:
             return self.unknown(0)
         with _EVALUATING, np.errstate(all="ignore"):
             keys = [row.tobytes() for row in x]
-            new = {key: row for key, row in zip(keys, x, strict=True) if np.isfinite(row).all()}
-            new = {key: row for key, row in new.items() if key not in self._cached}
+            rows = zip(keys, x, strict=True)
+            new = {key: row for key, row in rows if key not in self._cached and np.isfinite(row).all()}
             if new:
                 fresh = zip(*self._evaluate(np.stack([*new.values()])), strict=True)
                 self._cached |= {key: Evaluated(*row) for key, row in zip(new, fresh, strict=True)}
             [none] = zip(*self.unknown(1), strict=True)
-            rows = [self._cached.get(key, none) for key in keys]
+            found = [self._cached.get(key, none) for key in keys]
             self._cached = dict([*self._cached.items()][-MAX_CACHED:])
-            return Evaluated(*map(np.stack, zip(*rows, strict=True)))
+            return Evaluated(*map(np.stack, zip(*found, strict=True)))
 
     def reason(self, x: Float[np.ndarray, " by"]) -> str:
         """Return why the features at the point `x` are not valid, or "none"."""
@@ -103,7 +100,7 @@ class Branch:
             return "none"
         if not np.isfinite(x).all():
             return f"undefined: {self.described(x)}"
-        if refusal := self._refusal(x):
+        if refusal := self._refusals(x[None])[0]:
             return f"refused: {refusal}"
         if self._first is None:
             start = "" if self.point.start is None else f" from {shown(self.point.start)}"
@@ -112,7 +109,7 @@ class Branch:
         table = dict(zip(self.of, values, strict=True))
         if (reached != x).any():
             return (
-                f"beyond-branch: from {self.described(self._reached(self._first)[0])}, the orbit continues to "
+                f"beyond-branch: from {self.described(self._reached(self._first[0])[0])}, the orbit continues to "
                 f"{self.described(reached)}, with margin = {table[STABILITY]:.3g}, {MARGIN} = {table[MARGIN]:.3g}"
             )
         if table[STABILITY] >= 0:
@@ -133,67 +130,71 @@ class Branch:
     def _evaluate(self, x: Points) -> Evaluated:
         if not self._begun:
             self.at = x[0].copy() if self.at is None else self.at
-            self._begin(self.at)
+            self._first = self._begin(self.at)
             self._begun = True
-        if self._first is None or self._slopes is None:
+        if self._first is None:
             return self.unknown(len(x))
-        first, each = self._first, np.zeros(len(x), int)
+        (first, slopes), each = self._first, np.zeros(len(x), int)
+
+        def accept(orbits: Orbits) -> Bool[np.ndarray, " lanes"]:
+            admitted = np.array([not refusal for refusal in self._refusals(self._reached(orbits))], bool)
+            return (orbits.impacts == first.impacts) & ~orbits.neutral & admitted
+
         orbits, _ = first.of(each).carry_to(
             self._parameters(x),
             within=CORRECTOR_REACH,
             least=LEAST_FRACTION,
             cautious=CAUTIOUS_FRACTION,
             by=self.by,
-            slopes=OrbitFeatures(*(x[each] for x in self._slopes)),
-            accept=lambda orbits: (
-                (orbits.impacts == first.impacts) & ~orbits.neutral & self._admits(self._reached(orbits))
-            ),
+            slopes=OrbitFeatures(*(part[each] for part in slopes)),
+            accept=accept,
         )
         values, derivatives, *_ = orbits.derivatives(self.of, self.by)
         reached = self._reached(orbits)
         valid = (reached == x).all(axis=1) & (values[:, self.of.index(STABILITY)] < 0)
         return Evaluated(values, derivatives, valid & np.isfinite(derivatives).all(axis=(1, 2)), reached)
 
-    def _compile(self) -> None:
-        """Compile the programs of derivatives, while the first orbit is sought, which does not need them."""
-        scene, none = self.point.system, np.zeros(0)
-        states, every = np.zeros((0, len(scene.driving_part().return_states))), dict.fromkeys(scene.parameters(), none)
-        with suppress(Exception):  # it is raised again where a result is needed
-            differentiated(scene, self.of, self.by, every, states[:, None], states, none)
-
     def _parameters(self, x: Points) -> dict[str, np.ndarray]:
         fixed = {name: np.full(len(x), value) for name, value in self.point.parameters.items()}
         return fixed | {name: x[:, k] for k, name in enumerate(self.by)}
 
-    def _refusal(self, x: Float[np.ndarray, " by"]) -> str:
-        """Return why no motion is computed at the point `x`; empty if it is."""
-        for name, y in zip(self.by, x.tolist(), strict=True):
-            if problem := self._table[name].problem(y):
-                return f"{name} {problem}"
-        why, unfit = self.point.system.refused(self._parameters(x[None])) or ("", np.zeros(1))
-        return why.replace("-", " ") if np.ravel(unfit)[0] else ""
-
-    def _admits(self, x: Points) -> Bool[np.ndarray, " lanes"]:
-        rows = [dict(zip(self.by, row, strict=True)) for row in x.tolist()]
-        inside = [not any(self._table[name].problem(y) for name, y in row.items()) for row in rows]
-        _, unfit = self.point.system.refused(self._parameters(x)) or ("", False)
-        return np.array(inside, bool) & ~np.broadcast_to(np.asarray(unfit, bool), len(x))
+    @np.errstate(all="ignore")
+    def _refusals(self, x: Points) -> list[str]:
+        """Return for each point why no motion is computed there; empty if it is."""
+        table = self.point.system.parameters()
+        reason, mask = self.point.system.refused(self._parameters(x)) or ("", False)
+        refused = np.broadcast_to(np.asarray(mask, bool), len(x)).tolist()
+        return [
+            next(
+                (f"{name} {why}" for name, y in zip(self.by, row, strict=True) if (why := table[name].problem(y))),
+                reason.replace("-", " ") if unfit else "",
+            )
+            for row, unfit in zip(x.tolist(), refused, strict=True)
+        ]
 
     def _reached(self, orbits: Orbits) -> Points:
         return np.stack([orbits.parameters[name] for name in self.by], axis=1)
 
-    def _begin(self, x: Float[np.ndarray, " by"]) -> None:
-        """Find the first orbit: at `x`, or else the nearest of the stable orbits at points around it."""
+    def _begin(self, x: Float[np.ndarray, " by"]) -> tuple[Orbits, OrbitFeatures] | None:
+        """Return the first orbit with its slopes: at `x`, or else the nearest of the stable orbits around it."""
         scene = self.point.system
-        Thread(target=self._compile).start()
+
+        def compile_derivatives() -> None:  # while the first orbit is sought, which does not need them
+            states, none = np.zeros((0, len(scene.driving_part().return_states))), np.zeros(0)
+            every = dict.fromkeys(scene.parameters(), none)
+            with suppress(Exception):  # it is raised again where a result is needed
+                differentiated(scene, self.of, self.by, every, states[:, None], states, none)
+
+        Thread(target=compile_derivatives).start()
+        defaults = np.array([self.point.parameters[name] for name in self.by])
+        scale = np.where(defaults == 0, 1.0, np.abs(defaults))
         corners = np.concatenate([np.eye(len(x)), -np.eye(len(x)), np.ones((1, len(x))), -np.ones((1, len(x)))])
-        around = [x + share * corners * self._scale for share in SEARCHED]
-        defaults = np.array([[self.point.parameters[name] for name in self.by]])
-        for points in (x[None], np.concatenate([*around, defaults])):
-            rows = points[self._admits(points)]
+        around = [x + share * corners * scale for share in SEARCHED]
+        for points in (x[None], np.concatenate([*around, defaults[None]])):
+            rows = points[[not refusal for refusal in self._refusals(points)]]
             if not len(rows):
                 continue
-            lanes, distance = settled_at(self.point, self.by, rows), np.abs((rows - x) / self._scale).max(axis=1)
+            lanes, distance = settled_at(self.point, self.by, rows), np.abs((rows - x) / scale).max(axis=1)
             known = {
                 lane: batch.of([k])
                 for batch in orbits_of(scene, lanes, self._parameters(rows))
@@ -204,8 +205,8 @@ class Branch:
                 orbit = Orbits.find(scene, known[lane].parameters, known[lane].states).refined()
                 slopes = orbit.derivatives((), self.by)
                 if np.isfinite(slopes.state_derivatives).all():
-                    self._first, self._slopes = orbit, slopes
-                    return
+                    return orbit, slopes
+        return None
 
 
 def settled_at(point: Point, by: Sequence[str], rows: Points) -> Features:
@@ -217,8 +218,6 @@ def settled_at(point: Point, by: Sequence[str], rows: Points) -> Features:
 
 VALID, LOGARITHM = "valid", "margin"
 """Names of the outputs in addition to the features: whether the point has an orbit, and the stability margin."""
-
-R = TypeVar("R")
 
 INTERRUPT_SECONDS = 0.02
 """Time after which a deferred Ctrl-C interrupts the main thread: long enough for jax to return from its callbacks."""
@@ -234,10 +233,10 @@ class OrbitFunction:
     """
 
     def __init__(self, branch: Branch, of: Sequence[str], outside: str) -> None:
-        self._made_of = branch, tuple(of), outside
-        self._outputs = {name: branch.of.index(name) for name in of}
-        self._outputs |= {LOGARITHM: branch.of.index(STABILITY), MARGIN: branch.of.index(MARGIN)}
+        self._made_of = branch, tuple(of), outside  # what is pickled
         self._branch, self._features = branch, _features(branch, outside)
+        names = dict(zip(of, of, strict=True)) | {LOGARITHM: STABILITY, MARGIN: MARGIN}
+        self._outputs = {name: branch.of.index(feature) for name, feature in names.items()}
 
     def __reduce__(self) -> tuple[Any, ...]:
         return OrbitFunction, self._made_of
@@ -376,7 +375,14 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
         """Return features (..., features) and derivatives (..., features, by) at the points (..., by)."""
         x = np.ascontiguousarray(words).view(dtype)
         points = np.ascontiguousarray(x.reshape(-1, size), float)
-        features = deferring_interrupts(lambda: branch.evaluate(points), branch.unknown(len(points)))
+        # jax reports each exception of a callback as an error of XLA. Until the program has left its callbacks, which
+        # return unknown features meanwhile, each interrupt is deferred once more.
+        features = branch.unknown(len(points))
+        try:
+            features = features if _INTERRUPTED.is_set() else branch.evaluate(points)
+        except KeyboardInterrupt:
+            _INTERRUPTED.set()
+            Timer(INTERRUPT_SECONDS, _interrupt).start()
         values = np.concatenate([features.values, features.valid[:, None]], axis=1)
         slopes = np.concatenate([features.derivatives, np.zeros((len(values), 1, size))], axis=1)
         if outside == "nan":
@@ -385,9 +391,8 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
         both = values[..., None], slopes
         return tuple(part.astype(dtype).view(np.uint32).reshape(*x.shape[:-1], -1) for part in both)
 
-    @cache
-    def callback(dtype: np.dtype) -> Callable[..., Any]:
-        return partial(compute, dtype)  # the same function for all calls, which jax then compiles once
+    # The same functions for all calls, which jax then compiles once.
+    callbacks = {dtype: partial(compute, dtype) for dtype in map(np.dtype, (np.float32, np.float64))}
 
     @jax.custom_jvp
     @jax.jit  # outside of jit, jax cannot call back for arrays on several devices
@@ -395,20 +400,13 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
         # A loop calls back from another thread. If x64 is enabled in this thread only, jax rounds doubles there; it
         # leaves words of 32 bits unchanged.
         dtype = np.dtype(x.dtype)
-        words = dtype.itemsize // 4
-        shapes = tuple(jax.ShapeDtypeStruct((number * words,), np.uint32) for number in (count, count * size))
-        parts = jax.pure_callback(
-            callback(dtype),
-            shapes,
-            jax.lax.bitcast_convert_type(x, jnp.uint32).reshape(-1),
-            vmap_method="broadcast_all",
-        )
-        shape = (words,) * (words > 1)
-        values, slopes = (
-            jax.lax.bitcast_convert_type(part.reshape(*outer, *shape), dtype)
-            for part, outer in zip(parts, ((count,), (count, size)), strict=True)
-        )
-        return values, slopes
+        words, shapes = dtype.itemsize // 4, ((count,), (count, size))
+        given = jax.lax.bitcast_convert_type(x, jnp.uint32).reshape(-1)
+        flat = [jax.ShapeDtypeStruct((int(np.prod(shape)) * words,), np.uint32) for shape in shapes]
+        parts = jax.pure_callback(callbacks[dtype], flat, given, vmap_method="broadcast_all")
+        halves = (words,) * (words > 1)
+        arrays = (part.reshape(*shape, *halves) for part, shape in zip(parts, shapes, strict=True))
+        return tuple(jax.lax.bitcast_convert_type(array, dtype) for array in arrays)
 
     @both.defjvp
     def _(primals: Any, tangents: Any) -> Any:
@@ -429,20 +427,6 @@ def _features(branch: Branch, outside: str) -> Callable[[jax.Array], jax.Array]:
         return values, (tangents[0][None] * huge * huge * jnp.where(known, slopes, 0.0) * huge * huge).sum(axis=-1)
 
     return features
-
-
-def deferring_interrupts(compute: Callable[[], R], nothing: R) -> R:
-    """Return `compute()`; upon Ctrl-C, return `nothing`, and interrupt the main thread again a moment later.
-
-    jax reports each exception of a callback as an error of XLA. Until the program has left its callbacks, which return
-    `nothing` meanwhile, each interrupt is deferred once more.
-    """
-    try:
-        return nothing if _INTERRUPTED.is_set() else compute()
-    except KeyboardInterrupt:
-        _INTERRUPTED.set()
-        Timer(INTERRUPT_SECONDS, _interrupt).start()
-        return nothing
 
 
 def _interrupt() -> None:

@@ -81,11 +81,16 @@ Links = dict[tuple[int, int], float]
 
 
 class Statistics(NamedTuple):
-    """Statistics of lanes, their relative standard errors, and which lanes have converged."""
+    """Statistics of lanes, their relative standard errors, and which lanes have converged.
+
+    `lost`: lanes that cannot converge, because they have reached an orbit or are not sound. A lane on an orbit had not
+    settled when the sweep labelled it.
+    """
 
     values: Float[np.ndarray, "statistics lanes"]
     errors: Float[np.ndarray, "statistics lanes"]
     converged: Bool[np.ndarray, " lanes"]
+    lost: Bool[np.ndarray, " lanes"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +123,8 @@ def with_long_statistics(
     `CONVERGED_STDERR` after `MOST_WINDOWS` windows, or if the lane has reached an orbit.
     """
     names = [name for name in STATISTICS if name in dataset]
-    shape, length = (len(names), len(lanes)), sweep.run.observe
-    long = Statistics(np.full(shape, np.nan), np.zeros(shape), np.zeros(len(lanes), bool))
+    length, (values, errors) = sweep.run.observe, np.full((2, len(names), len(lanes)), np.nan)
+    converged = np.zeros(len(lanes), bool)
     with quiet(), Progress(len(lanes), "irregular lanes", progress and len(lanes) > 0) as bar:
         for first in range(0, len(lanes), LANES_TOGETHER):
             active = np.arange(first, min(first + LANES_TOGETHER, len(lanes)))
@@ -131,24 +136,22 @@ def with_long_statistics(
                     [batch] = run.engine.settle([batch.observed(now, np.full(len(active), length))])
                     windows.append(_window(run.engine.observe([batch])[0], names))
                     now += length
-                stacked = np.stack(windows)
-                found = statistics(stacked)
-                done = found.converged | on_orbits(stacked) | ~_sound(stacked) | (count >= MOST_WINDOWS)
-                for whole, part in zip(long, found, strict=True):
+                found = statistics(np.stack(windows))
+                done = found.converged | found.lost | (count >= MOST_WINDOWS)
+                for whole, part in zip((values, errors, converged), found[:3], strict=True):
                     whole[..., active[done]] = part[..., done]
                 bar.add(int(done.sum()))
                 batch, active, count = batch.of(np.flatnonzero(~done)), active[~done], 2 * count
                 windows = [window[:, ~done] for window in windows]
-    columns: dict[str, tuple[np.ndarray, object]] = {"converged": (long.converged, True)}
-    for name, values, errors in zip(names, long.values, long.errors, strict=True):
-        columns |= {name: (values, np.nan), f"{name}_stderr": (errors, 0.0)}
-    variables = {}
-    for name, (values, fill) in columns.items():
-        before = dataset[name] if name in dataset else xr.full_like(dataset["regime"], fill, values.dtype)
-        column = before.values.flatten()
-        column[lanes] = values
-        variables[name] = before.copy(data=column.reshape(before.shape))
-    return dataset.assign(variables)
+    columns = {"converged": converged, **dict(zip(names, values, strict=True))}
+    columns |= {f"{name}_stderr": error for name, error in zip(names, errors, strict=True)}
+    for name, of_lanes in columns.items():
+        fill = name == "converged"  # until now, no lane was observed for longer
+        before = dataset[name] if name in dataset else xr.full_like(dataset["regime"], fill, of_lanes.dtype)
+        column = before.values.copy()
+        column.flat[lanes] = of_lanes
+        dataset = dataset.assign({name: before.copy(data=column)})
+    return dataset
 
 
 def observe_irregular(runs: list[tuple[Sweep, xr.Dataset]], progress: bool) -> xr.Dataset:
@@ -171,7 +174,7 @@ def observe_irregular(runs: list[tuple[Sweep, xr.Dataset]], progress: bool) -> x
 
 
 def _window(features: Features, names: list[str]) -> Float[np.ndarray, "fields lanes"]:
-    """Return the fields (see `Windows`) of one window from its features."""
+    """Return the fields of `Windows` of one window."""
     returns = np.maximum(features["returns"] - 1, 0.0)
     impacts = features.get("impacts", np.zeros_like(returns)) * returns / np.maximum(features["cycles"], 1)
     weight = {"period": returns, "impact_velocity": impacts}
@@ -190,17 +193,9 @@ def statistics(windows: Windows) -> Statistics:
         residual = totals - values * counts
         errors = np.sqrt(np.sum(residual**2, axis=0) * BATCHES / (BATCHES - 1)) / np.abs(total)
     errors = np.where(total == 0, 0.0, errors)
-    precise = np.all(errors <= CONVERGED_STDERR, axis=0)
-    return Statistics(values, errors, precise & _sound(windows) & ~on_orbits(windows))
-
-
-def on_orbits(windows: Windows) -> Bool[np.ndarray, " lanes"]:
-    """Return which lanes have reached an orbit, so that they had not settled when the sweep labelled them."""
-    return np.all(windows[-(len(windows) // ORBIT_WINDOWS_FRACTION) :, -2] > 0, axis=0)
-
-
-def _sound(windows: Windows) -> Bool[np.ndarray, " lanes"]:
-    return np.all(windows[:, -1] > 0, axis=0)
+    on_orbit = np.all(windows[-(len(windows) // ORBIT_WINDOWS_FRACTION) :, -2] > 0, axis=0)
+    lost = on_orbit | ~np.all(windows[:, -1] > 0, axis=0)
+    return Statistics(values, errors, np.all(errors <= CONVERGED_STDERR, axis=0) & ~lost, lost)
 
 
 def classify_motions(
@@ -282,9 +277,7 @@ def _log_statistics(dataset: xr.Dataset) -> Float[np.ndarray, "lanes statistics"
         return np.where(values > 0, np.log(values), -_FAR_APART)
 
 
-def join_chains(
-    x: Float[np.ndarray, "lanes values"], margins: Float[np.ndarray, "lanes values"] | None = None
-) -> Index:
+def join_chains(x: Float[np.ndarray, "lanes values"], margins: Float[np.ndarray, "lanes values"]) -> Index:
     """Return the group number of each lane. Lanes are in the same group if a chain of lanes connects them.
 
     Neighbours in a chain differ by at most about 1 in every value.
@@ -297,15 +290,13 @@ def join_chains(
     from scipy.spatial import cKDTree
 
     # Values rounded to quarters make many lanes equal, which keeps the number of pairs small.
-    wider = np.zeros_like(x) if margins is None else np.ceil(4 * margins)
-    cells, index = np.unique(np.hstack([np.round(4 * x), wider]), axis=0, return_inverse=True)
+    cells, index = np.unique(np.hstack([np.round(4 * x), np.ceil(4 * margins)]), axis=0, return_inverse=True)
     cells, wider = np.hsplit(cells, 2)
     reach = 4.0 + 2**0.5 * wider.max(initial=0.0)
     pairs = cKDTree(cells).query_pairs(reach, p=np.inf, output_type="ndarray")
     first, second = pairs.T
-    near = np.abs(cells[first] - cells[second]) <= 4.0 + np.hypot(wider[first], wider[second])
-    first, second = pairs[near.all(axis=1)].T
-    links = coo_array((np.ones(len(first)), (first, second)), shape=(len(cells), len(cells)))
+    near = np.all(np.abs(cells[first] - cells[second]) <= 4.0 + np.hypot(wider[first], wider[second]), axis=1)
+    links = coo_array((near[near], (first[near], second[near])), shape=(len(cells), len(cells)))
     return np.asarray(connected_components(links, directed=False)[1])[index.ravel()]
 
 
@@ -386,42 +377,40 @@ def numbered_motions(
     values, _ = sweep.lane_values(0, sweep.lanes)
     points = {name: values[name][::starts] for name in scene.parameters()}
     each = observed.sizes["start"]
+    ranks = [*product(*(np.argsort(np.argsort(axis)).tolist() for axis in sweep.axes.values()))]  # of each point
+
+    def count(motion: Motion) -> int:
+        return int((motion.lanes % each < starts).sum())
+
     motions = classify_motions(scene, observed, {name: np.repeat(x, each) for name, x in points.items()}, each)
-    counts = [int((motion.lanes % each < starts).sum()) for motion in motions]
-    ranks = [np.argsort(np.argsort(axis)) for axis in sweep.axes.values()]
-    keys = []
-    for index, (motion, count) in enumerate(zip(motions, counts, strict=True)):
-        place = np.unravel_index(motion.cell, shape) if ranks else ()
-        keys.append((*(float(rank[k]) for rank, k in zip(ranks, place, strict=True)), -float(count), float(index)))
+    motions.sort(key=lambda motion: (*ranks[motion.cell], -count(motion)))
     links = find_links(scene, points, tuple(shape), motions)
-    number = number_attractors([motion.cell for motion in motions], counts, links, keys)
+    number = number_attractors([motion.cell for motion in motions], [*map(count, motions)], links)
     kept = ~is_ambiguous(motions, number)
     motions = [motion for motion, counts_too in zip(motions, kept, strict=True) if counts_too]
     return observed, motions, np.unique(number[kept], return_inverse=True)[1]
 
 
-def number_attractors(
-    cells: Sequence[int], lanes: Sequence[int], links: Links, order: Sequence[tuple[float, ...]]
-) -> Int[np.ndarray, " motions"]:
+def number_attractors(cells: Sequence[int], lanes: Sequence[int], links: Links) -> Int[np.ndarray, " motions"]:
     """Return the attractor number of each motion. Attractors are numbered from 0 by decreasing number of lanes.
 
     Linked motions have the same number, but no two motions of one point do. Links are processed in order of increasing
     distance. A link that would give two motions of one point the same number is dropped: near a cusp, two attractors
     are connected through other motions. Numbers therefore do not depend on the direction of the axes.
 
-    **Arguments:** `cells`, `lanes`: grid point and number of lanes of each motion; `order`: sort key of each motion.
-    The least key of an attractor breaks ties between attractors with equally many lanes.
+    **Arguments:** `cells`, `lanes`: grid point and number of lanes of each motion. Of attractors with equally many
+    lanes, the one with the first motion has the lower number.
     """
     from scipy.cluster.hierarchy import DisjointSet  # slow to import
 
     groups, points = DisjointSet(range(len(cells))), [{cell} for cell in cells]
-    for pair in sorted(links, key=lambda pair: (links[pair], sorted(order[motion] for motion in pair))):
+    for pair in sorted(links, key=lambda pair: (links[pair], pair)):
         small, large = sorted((groups[motion] for motion in pair), key=lambda root: len(points[root]))
         if points[small].isdisjoint(points[large]):
             points[large] |= points[small]
             groups.merge(small, large)
             points[groups[large]] = points[large]
-    ranked = sorted(groups.subsets(), key=lambda own: (-sum(lanes[m] for m in own), min(order[m] for m in own)))
+    ranked = sorted(groups.subsets(), key=lambda own: (-sum(lanes[motion] for motion in own), min(own)))
     number = np.zeros(len(cells), int)
     for place, own in enumerate(ranked):
         number[list(own)] = place

@@ -268,19 +268,14 @@ def _shares_at_point(ds: xr.Dataset) -> tuple[Plot, str]:
     across, up = (axis(spread[name], limits=(float(e[0]), float(e[-1]))) for name, e in zip(states, ends, strict=True))
     layers: list[Layer] = [Cells(*ends, shown, colours, BoundaryNorm(np.arange(-0.5, colours.N), colours.N))]
 
-    # The orbits are marked where they cross the section, projected onto the plane.
-    crossings = []
+    # The orbits are marked where they cross the section, at which the velocity that defines it is zero.
     known = {str(name).removeprefix("orbit_"): x.values for name, x in ds.items() if str(name).startswith("orbit_")}
-    for name in states:
-        place = known.get(name.removeprefix(PREFIX))
-        if place is None:  # the velocity that defines the section, which is zero there
-            is_known = np.isfinite(next(iter(known.values()), np.full(ds.sizes[ATTRACTOR], np.nan)))
-            place = np.where(is_known, 0.0, np.nan)
-        crossings.append(place * scale(spread[name])[0])
-    inside = np.all([(end[0] <= p) & (p <= end[-1]) for p, end in zip(crossings, ends, strict=True)], axis=0)
-    orbits = np.isfinite(crossings).all(axis=0)
+    on_section = 0.0 * next(iter(known.values()), np.full(ds.sizes[ATTRACTOR], np.nan))
+    crossings = np.stack([known.get(n.removeprefix(PREFIX), on_section) * scale(spread[n])[0] for n in states], axis=1)
+    low, high = np.transpose([(end[0], end[-1]) for end in ends])
+    inside, orbits = np.all((low <= crossings) & (crossings <= high), axis=1), np.isfinite(crossings).all(axis=1)
     for k in np.flatnonzero(inside):
-        across_at, up_at = float(crossings[0][k]), float(crossings[1][k])
+        across_at, up_at = crossings[k].tolist()
         layers.append(dots([across_at], [up_at], size=11.0, face="white", edge="black", order=3.0, clip=False))
         layers.append(Text(across_at, up_at, str(k), colour="black", size=7.5))
     notes = ["Circles: where the orbits pass the section"] * bool(inside.any())
@@ -305,9 +300,7 @@ def share_map(ds: xr.Dataset) -> Sheet:
     x, y = axes_of_map(ds)
     ds = ds.sortby([x, y])
     names = [str(name) for name in ds[NAMED].values] if NAMED in ds.dims else []
-    speed = None
-    if _VELOCITY in ds:
-        speed = ds["v"] if "v" in ds.coords else parameters_of(ds).get("v")
+    speed = ds.coords.get("v", parameters_of(ds).get("v")) if _VELOCITY in ds else None
     single = ds[REGIME] == SINGLE_IMPACT
     strong = single if speed is None else single & (ds[_VELOCITY] > speed)
     share = (100.0 * ds["share"]).where(strong, 0.0).sum(ATTRACTOR).assign_attrs(units="%")

@@ -55,6 +55,7 @@ class Line:
     - `u` (points, unknowns): scaled states at the section, and scaled parameters. States are NaN at points with other
       numbers of section crossings.
     - `corners`: indices of the ends and of the points of codimension two.
+    - `closed`: whether the curve returns to its first point.
     """
 
     plane: int
@@ -63,6 +64,7 @@ class Line:
     curve: Curve
     u: Float[np.ndarray, "points unknowns"]
     corners: list[int]
+    closed: bool
 
     @classmethod
     def through(cls, problem: CurveProblem, curve: Curve, plane: int, seed: Vertex) -> "Line":
@@ -82,12 +84,7 @@ class Line:
             k = int(nearest_place(u[:, -2:], point[0, -2:])[0]) + 1
             u = np.insert(u, k, point, axis=0)
             corners = [corner + (corner >= k) for corner in corners] + [k]
-        return cls(plane, seed, problem, curve, u, corners)
-
-    @property
-    def closed(self) -> bool:
-        """True if the curve returns to its first point."""
-        return ENDINGS[CLOSED] in self.curve.notes
+        return cls(plane, seed, problem, curve, u, corners, closed)
 
     @property
     def ends(self) -> list[float]:

@@ -26,19 +26,13 @@ from vibrojax.periodic.problem import check_changes_orbits
 from vibrojax.physics.parameters import REPLACED, substitutes
 from vibrojax.pictures.axes import axis, margins, share_text, value_text, values_along
 from vibrojax.pictures.overlays import ANY, axes_of, beyond, border_layers
-from vibrojax.pictures.plots import Line, Plot, Sheet, Text, dots
+from vibrojax.pictures.plots import Plot, Sheet, Text, dots
 from vibrojax.scenes import HasImpacts
 from vibrojax.studies.analysis import PictureRule, Source, SummaryPart, analyse
 from vibrojax.studies.border_curves import Border, ContinuedBorders, crossings_of
 from vibrojax.studies.border_grid import GridOrbit, OrbitGrid, OrbitLoss, Vertex, around_region
 from vibrojax.studies.curves import read_line
 from vibrojax.studies.subjects import SweepAnalysis
-
-WHERE = {
-    "seed_": " from which the curve was continued; not defined for a border located between points of the grid",
-    "crossing_": " where the border crosses the line",
-}
-"""Ends of the meanings of parameters, by prefix of their names."""
 
 _PANEL = (3.3, 3.0)  # inches
 _STABLE = "#F2CC6B"
@@ -114,7 +108,7 @@ def plane_axes(sweep: Sweep, axes: tuple[str, str] | None) -> tuple[str, str]:
     if axes is None:
         first, second = sorted(long, key=lambda name: -long[name])[:2]
         axes = ("gamma", "beta") if {"gamma", "beta"} <= long.keys() else (first, second)
-    if len(axes) != 2 or axes[0] == axes[1] or any(name not in long for name in axes):
+    if not isinstance(axes, tuple | list) or len(axes) != 2 or {*map(str, axes)} - long.keys() or axes[0] == axes[1]:
         raise InputError(f"borders: axes {shown(axes)} are not two axes of the sweep; choose from {', '.join(long)}")
     for name in (name for name in (*axes, *sweep.parameters) if name in substitutes(sweep.system.parameters())):
         formula = ": gamma = striker_frequency/bit_frequency" if name == "striker_frequency" else ""
@@ -232,16 +226,18 @@ class Regions:
             variables[f"cell_{name}"] = ("cell", values.ravel(), parameter_attributes(sweep, name))
         seeds = np.array([(np.nan, np.nan) if line is None else line.seed[:2] for line in lines]).reshape(-1, 2)
         vertices = np.concatenate([np.zeros((0, 2)), *(piece.points for piece in pieces)])
-        located = {"": ("vertex", vertices), "seed_": ("curve", seeds)}
+        seeded = " from which the curve was continued; not defined for a border located between points of the grid"
+        located = {"": ("vertex", vertices, ""), "seed_": ("curve", seeds, seeded)}
         if at is not None:
             which = self._names.index(at[0])
             crossed = [(k, x) for k, piece in enumerate(pieces) for x in crossings_of(piece, which, at[1])]
             variables["crossing_curve"] = ("crossing", [k for k, _ in crossed])
-            located["crossing_"] = ("crossing", np.array([x for _, x in crossed]).reshape(-1, 2))
-        for prefix, (dimension, points) in located.items():
+            crossings = np.array([x for _, x in crossed]).reshape(-1, 2)
+            located["crossing_"] = ("crossing", crossings, " where the border crosses the line")
+        for prefix, (dimension, points, where) in located.items():
             for name, values in zip(self._names, points.T, strict=True):
                 about = parameter_attributes(sweep, name)
-                about["long_name"] += WHERE.get(prefix, "")
+                about["long_name"] += where
                 variables[prefix + name] = (dimension, values, about)
         coordinates: dict[str, Any] = {}
         start_attributes = {"units": "1", "long_name": "start of the motions whose region it is; any: of all orbits"}
@@ -274,23 +270,28 @@ def border_curves(ds: xr.Dataset) -> Sheet:
     others = beyond(ds)
     planes = [tuple(float(ds[f"region_{name}"][k]) for name in others) for k in range(ds.sizes["region"])]
     starts = ds["region_start"].values.tolist() if "region_start" in ds.coords else [ANY] * len(planes)
-    areas = dict(reversed(list(zip(zip(planes, starts, strict=True), ds["region_area"].values.tolist(), strict=True))))
     regions = {region: k for k, region in reversed([*enumerate(zip(planes, starts, strict=True))])}
     rows, columns = list(dict.fromkeys(planes)), list(dict.fromkeys(starts))
     shown_rows, shown_columns = rows[:_MOST_SHOWN], [*columns[:-1][: _MOST_SHOWN - 1], columns[-1]]
-    limits = {n: _limits(values_along(ds[f"cell_{n}"])) for n in (x, y) if f"cell_{n}" in ds}
+    cells = {n: values_along(ds[f"cell_{n}"]) for n in (x, y) if f"cell_{n}" in ds}
+    rooms = {n: 0.03 * float(np.ptp(values)) for n, values in cells.items()}
+    limits = {n: (float(values.min()) - rooms[n], float(values.max()) + rooms[n]) for n, values in cells.items()}
     plots = []
     for k, (plane, start) in enumerate(product(shown_rows, shown_columns)):
         values = dict(zip(others, plane, strict=True))
         layers = border_layers(ds, values, start, x, y)
         words = [value_text(ds[name], value) for name, value in values.items()]
         words.append("any start" if start == ANY else f"start {start}")
-        title = f"{', '.join(words)}: {share_text(areas[plane, start])}"
+        area = float(ds["region_area"][regions[plane, start]])
+        title = f"{', '.join(words)}: {share_text(area)}"
         if not layers:
-            text = "no border" + (": a single impact is stable everywhere" if areas[plane, start] > 0.5 else "")
+            text = "no border" + (": a single impact is stable everywhere" if area > 0.5 else "")
             layers = [Text(0.5, 0.5, fill(text, 24), relative=True)]
-        if "region_stable" in ds:
-            layers.append(_stable_points(ds, regions[plane, start], x, y))
+        if "region_stable" in ds:  # the points of the grid
+            stable = ds["region_stable"].values[regions[plane, start]] == 1
+            size = min(_POINT, _POINTS / np.sqrt(stable.size))
+            places = (cells[n][stable] for n in (x, y))
+            layers.append(dots(*places, colour=_STABLE, size=size, order=1.0, label="a single impact\nis stable"))
         across, up = (axis(ds[n], group=n, intervals=6, limits=limits.get(n, (None, None))) for n in (x, y))
         plots.append(Plot(layers, across, up, title, divmod(k, len(shown_columns)), values))
     hidden = len(rows) - len(shown_rows), len(columns) - len(shown_columns)
@@ -299,19 +300,6 @@ def border_curves(ds: xr.Dataset) -> Sheet:
     widths, heights = (1.0,) * len(shown_columns), (1.0,) * len(shown_rows)
     size = _PANEL[0] * len(widths) + 1.6, _PANEL[1] * len(heights) + 0.6
     return Sheet(plots, size, widths, heights, **margins(ds, text, missing))
-
-
-def _stable_points(ds: xr.Dataset, region: int, x: str, y: str) -> Line:
-    """Return the points of the grid at which a single impact is stable."""
-    stable = ds["region_stable"].values[region] == 1
-    places = (values_along(ds[f"cell_{n}"])[stable] for n in (x, y))
-    size = min(_POINT, _POINTS / np.sqrt(stable.size))
-    return dots(*places, colour=_STABLE, size=size, order=1.0, label="a single impact\nis stable")
-
-
-def _limits(values: np.ndarray) -> tuple[float, float]:
-    room = 0.03 * float(np.ptp(values))
-    return float(values.min()) - room, float(values.max()) + room
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,14 @@
 All tables are derived from the definitions that the simulation uses.
 """
 
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
+from functools import partial
 from typing import Any
 
-from vibrojax.errors import Place
+from vibrojax.errors import InputError, Place
+from vibrojax.io.variables import Variable
 from vibrojax.lazy import pd
 from vibrojax.maps.starts import VECTOR, examples
 from vibrojax.measures.labels import HOLE_RADIUS
@@ -16,9 +20,9 @@ from vibrojax.physics.rock import ROCKS
 from vibrojax.scenes import SCENES, HasFriction, HasImpacts, HasRock, Scene
 from vibrojax.scenes.penetration import PULSE_SHAPES
 from vibrojax.settings.fields import meanings
-from vibrojax.settings.names import Names, enter_offered, read_names
+from vibrojax.settings.names import enter_offered, read_names
 from vibrojax.settings.run_settings import RunSettings
-from vibrojax.studies import glossary
+from vibrojax.studies import glossary, offered_analyses
 
 
 def list_scenes() -> "pd.DataFrame":
@@ -57,7 +61,15 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
     ['β', 'above 0', '0.1 to 1.5', 'mass ratio m2/m1']
     """
     names = read_names(Place("scenes"), scene)
-    choices = _parameters_of_choices(names)
+    choices: dict[str, Mapping[str, Parameter]] = {}  # of a friction law or a pulse shape, those of its own
+    if isinstance(names.system, HasFriction):
+        laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != names.options["friction"])
+        choices = {f'friction = "{law.name}" ({law.reference})': law.parameters for law in laws}
+    elif "pulse_shape" in names.options:
+        read = partial(read_names, Place("scenes"), names.system)
+        tables = {f'pulse_shape = "{shape}"': read({"pulse_shape": shape}).parameters for shape in PULSE_SHAPES}
+        common = set.intersection(*map(set, tables.values()))
+        choices = {where: {name: x for name, x in of.items() if name not in common} for where, of in tables.items()}
     shared = set(names.parameters).difference(*choices.values())
     found = [("", parameter) for name, parameter in names.parameters.items() if name in shared]
     for choice, parameters in choices.items():
@@ -70,19 +82,24 @@ def list_parameters(scene: str | Scene[Any]) -> "pd.DataFrame":
             parameter = replace(parameter, default=HOLE_RADIUS, long_name=meaning)
             where = f"needed for specific_energy, or {where}"
         found.append((where, parameter))
-    rows = [
-        {
+    rows = []
+    for where, parameter in found:
+        limits = []
+        if parameter.lowest is not None:
+            limits.append(f"{'above' if parameter.open_below else 'at least'} {parameter.lowest:g}")
+        if parameter.below is not None:
+            limits.append(f"below {parameter.below:g}")
+        row = {
             "name": parameter.name,
             "symbol": parameter.symbol,
             "default": parameter.default,
             "units": parameter.unit,
-            "range": _range(parameter),
-            "usual": "" if parameter.usual is None else " to ".join(f"{end:g}" for end in parameter.usual),
+            "range": ", ".join(limits) or "any",
+            "usual": " to ".join(f"{end:g}" for end in parameter.usual or ()),
             "meaning": parameter.long_name,
             "where": where,
         }
-        for where, parameter in found
-    ]
+        rows.append(row)
     return pd.DataFrame(rows).set_index("name")
 
 
@@ -100,14 +117,14 @@ def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
     """
     from vibrojax.io.kinds import OF_ATTRACTORS, OF_BORDERS, OF_CURVES, OF_FAMILIES
     from vibrojax.lanes.labels import of_orbits, sweep_variables
-    from vibrojax.studies.analysis import offered_variables
+    from vibrojax.studies.analysis import Analysis, analysis_named
     from vibrojax.studies.design import DESIGN_VARIABLES
     from vibrojax.studies.effects import STUDY_VARIABLES
     from vibrojax.studies.tolerance import tolerance_variables
 
     system = read_names(Place("scenes"), scene).system
     held, has_section, has_orbits = sweep_variables(system), system.section is not None, bool(of_orbits(system))
-    tables = {
+    tables: dict[str, Mapping[str, Variable]] = {
         "": held,
         "follow": OF_FAMILIES if has_orbits else {},
         "borders": OF_BORDERS if isinstance(system, HasImpacts) and has_section else {},
@@ -116,8 +133,10 @@ def list_variables(scene: str | Scene[Any]) -> "pd.DataFrame":
         "tolerance": tolerance_variables(held) if "regime" in held else {},
         "design": DESIGN_VARIABLES,
         "study": STUDY_VARIABLES if "regime" in held else {},
-        **offered_variables(),
     }
+    for kind in offered_analyses():
+        with suppress(InputError):  # the command of that analysis reports the error
+            tables[kind] = (analysis_named(kind) or Analysis()).variables
     rows: dict[str, dict[str, str]] = {}
     for where, table in tables.items():
         for name, about in table.items():  # designs and studies have variables of others, too
@@ -178,33 +197,6 @@ def _aligned(table: "pd.DataFrame") -> str:
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in cells)
     return "\n".join(f"  {line}".rstrip() for line in lines)
-
-
-def _range(parameter: Parameter) -> str:
-    """Describe the admissible values of a parameter in words."""
-    parts = []
-    if parameter.lowest is not None:
-        parts.append(f"{'above' if parameter.open_below else 'at least'} {parameter.lowest:g}")
-    if parameter.below is not None:
-        parts.append(f"below {parameter.below:g}")
-    return ", ".join(parts) or "any"
-
-
-def _parameters_of_choices(names: Names) -> dict[str, dict[str, Parameter]]:
-    """Return the parameters that depend on the choice of friction law or pulse shape, by law or shape."""
-    if isinstance(names.system, HasFriction):
-        laws = sorted(FRICTION_LAWS.values(), key=lambda law: law.name != names.options["friction"])
-        return {f'friction = "{law.name}" ({law.reference})': dict(law.parameters) for law in laws}
-    if "pulse_shape" not in names.options:
-        return {}
-    shapes = {
-        shape: read_names(Place("scenes"), names.system, {"pulse_shape": shape}).parameters for shape in PULSE_SHAPES
-    }
-    common = set.intersection(*map(set, shapes.values()))
-    return {
-        f'pulse_shape = "{shape}"': {name: parameter for name, parameter in table.items() if name not in common}
-        for shape, table in shapes.items()
-    }
 
 
 def _summary(kind: type) -> str:

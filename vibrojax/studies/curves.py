@@ -38,7 +38,7 @@ from vibrojax.pictures.branches import (
 )
 from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
-from vibrojax.settings.names import Names, read_names
+from vibrojax.settings.names import read_names
 from vibrojax.settings.values import UnusualValue, count, quantity
 from vibrojax.studies.family_data import columns, read_span
 
@@ -141,7 +141,11 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
         raise place.at("family").error("holds equilibria; give a family of orbits, which follow(from_hopf=...) begins")
     along = along_name(family)
     fixed: dict[str, Any] = dict(parameters_of(family))
-    names = _names(place, family)
+    options = {name: text_of(family, name) for name in ("friction", "pulse_shape") if name in family.attrs}
+    names = read_names(place.at("scene"), text_of(family, "scene"), dict(options), place)
+    with warnings.catch_warnings():  # `follow` has already warned
+        warnings.simplefilter("ignore", UnusualValue)
+        read_point(place, names.system, fixed, None)
     if not isinstance(by, str) or by not in names.parameters:
         raise place.at("by").error(
             f"{shown(by)} is not a parameter of the scene; {suggest_parameter(str(by), names.parameters)}"
@@ -182,17 +186,6 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
 def continued_kinds(family: xr.Dataset) -> list[str]:
     """Return the kind of each special point; events that bear their own name are continued like sticks."""
     return [kind if kind in SPECIAL_KINDS else "stick" for kind in kind_names(family)]
-
-
-def _names(place: Place, family: xr.Dataset) -> Names:
-    """Return the names of the family's scene with its options."""
-    scene = text_of(family, "scene")
-    options = {name: text_of(family, name) for name in ("friction", "pulse_shape") if name in family.attrs}
-    names = read_names(place.at("scene"), scene, dict(options), place)
-    with warnings.catch_warnings():  # `follow` has already warned
-        warnings.simplefilter("ignore", UnusualValue)
-        read_point(place, names.system, parameters_of(family), None)
-    return names
 
 
 def _special(place: Place, special: object, family: xr.Dataset, kinds: list[str]) -> list[int]:

@@ -12,7 +12,7 @@ from matplotlib.colors import ListedColormap, Normalize
 
 from vibrojax.errors import Place, counted, shown, suggestion
 from vibrojax.io.attributes import flag_counts
-from vibrojax.io.variables import VARIABLES, Variable
+from vibrojax.io.variables import VARIABLES, Variable, described
 from vibrojax.lanes.inputs import Features
 from vibrojax.lanes.labels import measured_besides
 from vibrojax.maps.dataset import coordinates, shared_attributes
@@ -45,8 +45,11 @@ LANES_PER_CALL = 256
 
 _MULTIPLIERS = "multiplier_abs"
 
-_VALID = Variable("1", "whether the derivatives of the lane hold", np.int8, ("not-valid", "valid"))
-_REASON = Variable("1", "why the derivatives of the lane do not hold", np.int8, DERIVATIVE_REASONS)
+_HOLDS = {
+    "valid": Variable("1", "whether the derivatives of the lane hold", np.int8, ("not-valid", "valid")),
+    "reason": Variable("1", "why the derivatives of the lane do not hold", np.int8, DERIVATIVE_REASONS),
+    "parameter_value": Variable("", "value of the parameter, in its own unit"),
+}
 
 OWN_ORBIT = 1e-3
 """Largest distance from the orbit in the dataset, in half swings, of the orbit whose derivatives are computed."""
@@ -82,15 +85,8 @@ def at_orbits(
 
     dims, sizes = sweep.dims, sweep.shape
     points = np.stack([values[name] for name in by], axis=-1).reshape(*sizes, len(by))
-    data: dict[str, Any] = {
-        "valid": (dims, (why == 0).astype(np.int8).reshape(sizes), _VALID.attributes()),
-        "reason": (dims, why.astype(np.int8).reshape(sizes), _REASON.attributes()),
-        "parameter_value": (
-            (*dims, "parameter"),
-            points,
-            {"units": "", "long_name": "value of the parameter, in its own unit"},
-        ),
-    }
+    data: dict[str, Any] = {"valid": (dims, (why == 0).reshape(sizes)), "reason": (dims, why.reshape(sizes))}
+    data = described(data | {"parameter_value": ((*dims, "parameter"), points)}, _HOLDS)
     further = {}  # sizes of dimensions that sweeps do not have
     for name in dict.fromkeys(map(_variable, of)):
         places = [place for place, feature in enumerate(of) if _variable(feature) == name]
@@ -178,36 +174,22 @@ def sensitivity(
     >>> s.d_impact_velocity.values.round(2).tolist()  # per m/s, and per m of the gap
     [1.3, 27.28]
     """
-    of, by = ([names] if isinstance(names, str) else list(names) for names in (of, by))
-    given = {"of": of or None, "start": start, "settle": settle, "observe": observe, **parameters}
+    place, of, by = Place(KIND), *([names] if isinstance(names, str) else list(names) for names in (of, by))
+    times = {name: x for name, x in (("settle", settle), ("observe", observe)) if x is not None}
+    given = {"of": of or None, "start": start, **times, **parameters}
     given = {name: x for name, x in given.items() if x is not None}
     enter_offered()
-    names = {*SCENES, *DEFINED} - {*bundled_names()}
-    if isinstance(source, Scene) or (isinstance(source, str) and (given or source in names)):
-        return _at_point(source, of, by, start, {"settle": settle, "observe": observe}, parameters, progress)
-    for name in given:
-        raise Place("sensitivity").at(name).error("belongs to one point of a scene, and this is a sweep; leave it out")
-    sweep = sweep_with_orbits(source)
-    return at_orbits(sweep, orbits(source if isinstance(source, xr.Dataset) else sweep, progress), by, progress)
-
-
-def _at_point(
-    scene: object,
-    of: Sequence[str],
-    by: Sequence[str],
-    start: object,
-    times: Mapping[str, float | None],
-    parameters: Mapping[str, object],
-    progress: bool,
-) -> xr.Dataset:
-    """Return the derivatives at the orbit on which the motion from `start` settles at one point."""
-    place = Place(KIND)
-    point = read_orbit_point(place, scene, parameters, start)
+    scenes = {*SCENES, *DEFINED} - {*bundled_names()}
+    if not isinstance(source, Scene) and not (isinstance(source, str) and (given or source in scenes)):
+        for name in given:
+            raise place.at(name).error("belongs to one point of a scene, and this is a sweep; leave it out")
+        sweep = sweep_with_orbits(source)
+        return at_orbits(sweep, orbits(source if isinstance(source, xr.Dataset) else sweep, progress), by, progress)
+    point = read_orbit_point(place, source, parameters, start)
     variables = [*dict.fromkeys(map(_variable, orbit_variables(point.system)))]
     of = read_names(place.at("of"), of, variables) if of else []
     by = read_names(place.at("by"), by, point.system.parameters()) if by else [*point.system.parameters()]
-    given = {name: x for name, x in times.items() if x is not None}
-    run = read_settings(place, {"orbits": True, **given}, point.system)
+    run = read_settings(place, {"orbits": True, **times}, point.system)
     sweep = sweep_at(point, {by[0]: np.array([point.parameters[by[0]]])}, run)
     with Progress(1, "lanes", progress) as bar:
         lanes = run_lanes(sweep.inputs(), sweep.plan, bar.add).variables

@@ -23,11 +23,10 @@ Spec = TypeVar("Spec")
 class CheckedAnalysis(Analysis, Generic[Spec]):
     """An analysis whose input is checked before it is computed.
 
-    A subclass provides `kind`, `identity` and `compute`.
+    A subclass provides `kind`, `identity` and `compute`. `file` is the default name of the command's file in `--help`.
     """
 
     file: ClassVar[str] = ""
-    """Default name of the command's file, for `--help`."""
 
     def identity(self, spec: Spec) -> dict[str, object]:
         """Return all settings on which the result depends, as flat JSON values."""
@@ -50,27 +49,20 @@ class MachineAnalysis(CheckedAnalysis[Spec]):
     """An analysis of machines, whose settings, start and run settings are given together with the parameters.
 
     A subclass provides `kind` and `compute`. It overrides `machines` to check them, or to read them otherwise.
+
+    - `scenes`: scenes that `--help` names; `terms`: terms of `vibrojax.studies.WORDS` that it defines.
+    - `run_settings`: settings of the table [run] that may be given; `always`: those that the analysis needs.
+    - `lists`: whether a parameter may have several values, each of a machine of its own.
+    - `tolerances`: whether a parameter may be written NAME=VALUE+-HALF_WIDTH.
     """
 
     subject = "machines"
-
     scenes: ClassVar[str] = "rotary, vibro-impact, penetration, drilling or coupled-drilling"
-    """Scenes that `--help` names."""
-
     run_settings: ClassVar[tuple[str, ...]] = ("settle", "observe")
-    """Settings of the table [run] that may be given."""
-
     always: ClassVar[Mapping[str, object]] = {}
-    """Settings of the table [run] that the analysis needs."""
-
     lists: ClassVar[bool] = True
-    """Whether a parameter may have several values, each of a machine of its own."""
-
     terms: ClassVar[tuple[str, ...]] = ()
-    """Terms of `vibrojax.studies.WORDS` that `--help` defines."""
-
     tolerances: ClassVar[bool] = False
-    """Whether a parameter may be written NAME=VALUE+-HALF_WIDTH."""
 
     @classmethod
     def words(cls) -> tuple[str, ...]:
@@ -119,18 +111,15 @@ class FileAnalysis(CheckedAnalysis[Spec]):
     """An analysis of a file of the user's: a TOML file, or a bundled name.
 
     A subclass provides `kind`, `about`, `asked`, `identity` and `compute`.
+
+    - `about`: what FILE is, in `--help`; `columns`: help of the option `--columns`, empty if there is none.
+    - `chunks`: whether finished chunks of its lanes are kept beside the file of the result until that is written.
     """
 
     subject = "file"
-
     about: ClassVar[str] = ""
-    """What FILE is, in `--help`."""
-
     columns: ClassVar[str] = ""
-    """Help of the option `--columns`; empty: there is none."""
-
     chunks: ClassVar[bool] = False
-    """Whether finished chunks of its lanes are kept beside the file of the result until that is written."""
 
     def asked(self, file: Any, columns: Mapping[str, str] | None = None) -> Spec:
         """Return the checked content of the file; raise `InputError` at the first error."""

@@ -46,20 +46,18 @@ _COMPARED = {
 
 def summarise(ds: xr.Dataset) -> list[SummaryPart]:
     """Return the parts of a dataset's summary; parts that do not apply have no lines."""
-    of_lanes, scene = lane_parts(ds), text_of(ds, "scene")
-    run = run_of(ds)
+    of_lanes, scene, run = lane_parts(ds), text_of(ds, "scene"), run_of(ds)
     times = {"settle", "observe"} <= set(run)
     lasts = f"settled for {run['settle']:g} s, observed for {run['observe']:g} s" if times else ""
-    others = {name: json.dumps(value) for name, value in run.items() if name not in ("settle", "observe")}
-    settings = ", ".join(f"{name} = {value}" for name, value in others.items())
+    others = (name for name in run if name not in ("settle", "observe"))
+    settings = ", ".join(f"{name} = {json.dumps(run[name])}" for name in others)
     shape = text_of(ds, "pulse_shape")
     return [
         SummaryPart("title", [title_of(ds)] if title_of(ds) else []),
-        SummaryPart("scene", [scene, *filter(None, [_COMPARED.get(scene)])] if scene else []),
+        SummaryPart("scene", [*filter(None, [scene, _COMPARED.get(scene)])]),
         SummaryPart("grid", [_dimension(ds, str(name))[0] for name in ds.sizes]),
         SummaryPart("lanes", [f"{lane_count(ds)} (a lane: {WORDS['lane']})"] if "lanes" in ds.attrs else []),
-        SummaryPart("friction", [text_of(ds, "friction")] if "friction" in ds.attrs else []),
-        SummaryPart("start", [text_of(ds, "start")] if "start" in ds.attrs else []),
+        *(SummaryPart(name, [text_of(ds, name)] if name in ds.attrs else []) for name in ("friction", "start")),
         SummaryPart("fixed", [f"pulse_shape = {shape}"] * bool(shape) + _fixed_lines(ds)),
         SummaryPart("run", [*filter(None, [lasts, settings])]),
         *(of_lanes[name] for name in ("regimes", "orbits", "natures")),
@@ -107,12 +105,12 @@ def summary_facts(ds: xr.Dataset, file: str) -> dict[str, Any]:
     }
     if facts["parameters"] is not None:
         facts["parameters"] = _parameters(ds)
-    variables: dict[str, Any] = {}
     for part in summarise(ds):
         facts |= part.facts
-    for name, data in ds.data_vars.items():
-        about = {key: _attribute(data, key) for key in ("units", "long_name")}
-        variables[str(name)] = {"dims": list(data.dims), **about}
+    variables = {
+        str(name): {"dims": list(data.dims), **{key: _attribute(data, key) for key in ("units", "long_name")}}
+        for name, data in ds.data_vars.items()
+    }
     return facts | {"variables": variables}
 
 

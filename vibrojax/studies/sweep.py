@@ -195,12 +195,9 @@ def _reason_of_no_rate(ds: xr.Dataset, rate: xr.DataArray, facts: dict[str, Any]
 
 def _failure_lines(ds: xr.Dataset, has_lanes: bool) -> list[str]:
     """Return lines that state how many lanes failed and, for each reason, how many and the first few lanes."""
-    if has_lanes:
-        mask = _labelled(ds, "failed")
-    elif "status" in ds:
-        mask = ds["status"] != 0
-    else:
+    if not has_lanes and "status" not in ds:
         return []
+    mask = _labelled(ds, "failed") if has_lanes else ds["status"] != 0
     lines = [str(int(mask.sum()))]
     has_reasons = "reason" in ds and ds["reason"].dims == mask.dims
     reasons = ds["reason"].values if has_reasons else np.zeros(mask.shape, int)
@@ -211,11 +208,8 @@ def _failure_lines(ds: xr.Dataset, has_lanes: bool) -> list[str]:
         for index in indices[:_FAILURES_SHOWN].tolist():
             lane = ds.isel(dict(zip(mask.dims, index, strict=True)))
             values = ((name, lane[name].item()) for name in lane.coords if lane[name].ndim == 0)
-            texts = [
-                f"{name}={value:.10g}" if isinstance(value, float) else f"{name}={value}" for name, value in values
-            ]
-            why = flags(lane["reason"]).get(lane["reason"].item()) if "reason" in lane else None
-            lines.append("at " + " ".join(texts) + (f": {why}" if why else ""))
+            texts = (f"{name}={x:.10g}" if isinstance(x, float) else f"{name}={x}" for name, x in values)
+            lines.append("at " + " ".join(texts) + (f": {meanings[reason]}" if reason in meanings else ""))
     return lines
 
 
@@ -224,42 +218,34 @@ def _accuracy(ds: xr.Dataset) -> SummaryPart:
     facts: dict[str, Any] | None = None
     lines: list[str] = []
     if "error_estimate" in ds:
-        estimates = ds["error_estimate"].values
-        errors = estimates[~np.isnan(estimates)]  # infinite where the two resolutions disagree
+        estimates = ds["error_estimate"]
+        errors = estimates.values[~np.isnan(estimates.values)]  # infinite where the two resolutions disagree
         accepted = run_of(ds).get("error")
         facts = {"accepted": accepted, "estimated": errors.size, "within": None, "median": None, "largest": None}
-        lines = ["no periodic lanes, so no error estimates"]
+        lines = [] if errors.size else ["no periodic lanes, so no error estimates"]
         if accepted is not None:
             facts["within"] = int((errors <= accepted).sum())
         if errors.size:
             facts |= {"median": float(np.median(errors)), "largest": float(errors.max())}
-            lines = _accuracy_lines(ds, errors, RunSettings.error if accepted is None else accepted)
+            lines.append(f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}")
+            accepted = RunSettings.error if accepted is None else accepted
+            rounded = ds.get("sensitive", xr.zeros_like(estimates, int)).transpose(*estimates.dims) == 1
+            within = int(((estimates.values <= accepted) & ~rounded.values).sum())
+            share = f"{100 * within / errors.size:.4g} % of {counted(errors.size, 'periodic lane')}"
+            lines.append(f"{share} within the accepted {accepted:g}")
+            if "cycles" in ds and "drift_estimate" not in ds:
+                lines.append("the distance of lanes from where they settle is not included: made before version 0.1.1")
+            elif "cycles" in ds and (still := int((ds["drift_estimate"] > accepted).sum())):
+                singular = "of them is farther than that from where it settles; a longer settle brings it there"
+                plural = "of them are farther than that from where they settle; a longer settle brings them there"
+                lines.append(counted(still, singular, plural))
+            if count := int(rounded.sum()):
+                one = "lane is sensitive: rounding decides which attractor it reaches"
+                lines.append(counted(count, one, "lanes are sensitive: rounding decides which attractor they reach"))
     if "regime" in ds and "check_regime" in ds:
         flips = int((ds["regime"].values != ds["check_regime"].values).sum())
         lines.append(f"{flips} of {ds['regime'].size} regimes differ at the check run's coarser resolution")
     return SummaryPart("accuracy", lines, {"accuracy": facts})
-
-
-def _accuracy_lines(ds: xr.Dataset, errors: np.ndarray, accepted: float) -> list[str]:
-    sensitive = np.zeros(ds["error_estimate"].shape, bool)
-    if "sensitive" in ds:
-        sensitive = ds["sensitive"].transpose(*ds["error_estimate"].dims).values == 1
-    within = int(((ds["error_estimate"].values <= accepted) & ~sensitive).sum())
-    lines = [
-        f"error_estimate median {np.median(errors):.2g}, largest {errors.max():.2g}",
-        f"{100 * within / errors.size:.4g} % of {counted(errors.size, 'periodic lane')}"
-        f" within the accepted {accepted:g}",
-    ]
-    if "cycles" in ds and "drift_estimate" not in ds:
-        lines.append("the distance of lanes from where they settle is not included: made before version 0.1.1")
-    elif "cycles" in ds:
-        still = int((ds["drift_estimate"] > accepted).sum())
-        singular = "of them is farther than that from where it settles; a longer settle brings it there"
-        plural = "of them are farther than that from where they settle; a longer settle brings them there"
-        lines += [counted(still, singular, plural)] if still else []
-    one = "lane is sensitive: rounding decides which attractor it reaches"
-    many = "lanes are sensitive: rounding decides which attractor they reach"
-    return [*lines, counted(int(sensitive.sum()), one, many)] if sensitive.any() else lines
 
 
 _WORDS = {
@@ -303,24 +289,19 @@ def frequencies(ds: xr.Dataset) -> dict[str, xr.DataArray]:
     arrays = {name: xr.DataArray(x) for name, x in known.items() if name in _USED}
     given = {name: x.astype(float) for name, x in arrays.items() if x.dtype.kind in "fiu"}
     with np.errstate(all="ignore"):  # a dataset from elsewhere may hold any numbers
-        computed = _computed(ds, given)
+        values, found = resolved(given), {}
+        if values.keys() >= set(_DRILL):
+            found["bit_frequency"], found["striker_frequency"] = uncoupled_frequencies(values)
+            columns = xr.broadcast(*(values[name] for name in _DRILL))
+            modes = natural_frequencies({name: x.values for name, x in zip(_DRILL, columns, strict=True)}, np)
+            for k, name in enumerate(("lower_frequency", "upper_frequency")):
+                found[name] = columns[0].copy(data=modes[..., k] / (2 * pi))
+        if all(name in ds and ds[name].dtype.kind in "fiu" for name in ("impacts", "period", "cycles")):
+            found["blow_frequency"] = blow_frequency(*(ds[name] for name in ("impacts", "cycles", "period")))
+        if "bit_radius" in given and ("rpm" in given or "v" in values):
+            found["rpm"] = given["rpm"] if "rpm" in given else 60 * values["v"] / (2 * pi * given["bit_radius"])
     about = {name: {"units": unit, "long_name": words} for name, (words, unit) in _WORDS.items()}
-    return {name: x.rename(name).assign_attrs(about[name]) for name, x in computed.items()}
-
-
-def _computed(ds: xr.Dataset, given: dict[str, xr.DataArray]) -> dict[str, xr.DataArray]:
-    values, found = resolved(given), {}
-    if values.keys() >= set(_DRILL):
-        found["bit_frequency"], found["striker_frequency"] = uncoupled_frequencies(values)
-        columns = xr.broadcast(*(values[name] for name in _DRILL))
-        modes = natural_frequencies({name: x.values for name, x in zip(_DRILL, columns, strict=True)}, np)
-        for k, name in enumerate(("lower_frequency", "upper_frequency")):
-            found[name] = columns[0].copy(data=modes[..., k] / (2 * pi))
-    if all(name in ds and ds[name].dtype.kind in "fiu" for name in ("impacts", "period", "cycles")):
-        found["blow_frequency"] = blow_frequency(*(ds[name] for name in ("impacts", "cycles", "period")))
-    if "bit_radius" in given and ("rpm" in given or "v" in values):
-        found["rpm"] = given["rpm"] if "rpm" in given else 60 * values["v"] / (2 * pi * given["bit_radius"])
-    return found
+    return {name: x.rename(name).assign_attrs(about[name]) for name, x in found.items()}
 
 
 def frequency_part(ds: xr.Dataset) -> SummaryPart:

@@ -52,8 +52,6 @@ if TYPE_CHECKING:
 TRAJECTORY_MAX_SAMPLES = 2_000_000
 """Maximum number of samples: some 200 MB of states and forces, more than any plot can show."""
 
-SECTION = "to the section (the bit overtakes the drive)"
-
 DURATION_MARGIN = 1.15
 """Ratio of the recommended duration to the shortest sufficient duration."""
 
@@ -157,12 +155,9 @@ class Trajectories(MachineAnalysis[Point]):
     ) -> Point:
         return read_point(place, scene, parameters, start)
 
-    def arguments(self) -> dict[str, Any]:
-        """Return the settings that were given."""
-        return {name: value for name, value in vars(self).items() if value is not None}
-
     def identity(self, point: Point) -> dict[str, object]:
-        return {**point.identity(), **self.arguments(), **code_identity(point.system, point.options)}
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        return {**point.identity(), **given, **code_identity(point.system, point.options)}
 
     def file_name(self, point: Point) -> str:
         return f"{point.scene}.nc"
@@ -276,7 +271,7 @@ class Trajectories(MachineAnalysis[Point]):
         return [SummaryPart("found", feature_lines(ds), {"found": features(ds)}), frequency_part(ds)]
 
 
-def features(ds: xr.Dataset) -> dict[str, object]:
+def features(ds: xr.Dataset) -> dict[str, Any]:
     """Return the scalar variables of a trajectory by name; flags are replaced by their meanings."""
     single = {str(name): data for name, data in ds.data_vars.items() if data.ndim == 0}
     return {name: flags(data)[int(data)] if flags(data) else data.item() for name, data in single.items()}
@@ -287,23 +282,31 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
     run = run_of(ds)
     if not {"settle", "observe"} <= set(run) or "time" not in ds.dims:
         return []
-    values = {str(name): float(data) for name, data in ds.data_vars.items() if data.ndim == 0}
+    values = features(ds)
     lines = [_regime_line(ds, values)] if "regime" in values else []
     if "rate_of_penetration" in values:
         lines += _penetration_lines(ds, values)
     if not lines:
         return []
-    if power := _power_line(ds, values):
-        lines.append(power)
+    quantities = []
+    for name in ("impact_power", "specific_energy", "stick_slip_index"):
+        if math.isfinite(values.get(name, math.nan)) and (name != "impact_power" or values[name] > 0):
+            factor, unit = scale(ds[name])
+            radius = hole_radius_of(ds) if name == "specific_energy" else None
+            hole = "" if radius is None else f" (hole of radius {radius:g} m)"
+            quantity = name.replace("stick_slip", "stick-slip").replace("_", " ")
+            quantities.append(f"{quantity} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip() + hole)
+    lines += [", ".join(quantities)] if quantities else []
     last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
     if "returns" in values:
-        last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
+        last += f": {counted(int(values['returns']), 'return')} to the section"
+        last += " (the bit overtakes the drive)" * ("x1" in ds)
     return [*lines, "; ".join(filter(None, [last, unsettled_text(values.get("drift_estimate", math.nan))]))]
 
 
-def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
-    regime = flags(ds["regime"])[int(ds["regime"])]
-    returns, period = int(values["returns"]), values.get("period", math.nan)
+def _regime_line(ds: xr.Dataset, values: dict[str, Any]) -> str:
+    regime, returns, cycles = values["regime"], int(values["returns"]), int(values["cycles"])
+    period = values.get("period", math.nan)
     if regime == "equilibrium":
         speed = parameters_of(ds).get("v") if "x1" in ds else None
         moves = "nothing moves" if speed is None else f"the bit moves steadily with the drive, at {speed:.4g} m/s"
@@ -316,14 +319,12 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
             observed, last = run_of(ds)["observe"], float(ds["time"][-1])
             advice = f"give duration={DURATION_MARGIN * (FEWEST_RETURNS + 1) * period / observed * last:.3g}"
         count = ("no return is", "one return is")[returns] if returns < 2 else f"{returns} returns to the section are"
-        cycles = int(values["cycles"])
         repeats = f"so far it repeats in each period of {cycles * period:.5g} s; " if cycles else ""
         return f"undecided: {count} too few to judge by, {FEWEST_RETURNS} are needed; {repeats}{advice}"
     if regime == "undecided":
         return "undecided: the amplitude steadily grows or decays; a longer duration shows what it ends in"
     if regime == "failed":
         return "failed: the motion does not stay finite"
-    cycles = int(values["cycles"])
     if "impacts" not in values:
         repeats = {0: "does not repeat", 1: "repeats"}.get(cycles, f"repeats after {cycles} returns")
         return f"{regime}: {repeats}, with {period:.5g} s from return to return"
@@ -340,19 +341,7 @@ def _regime_line(ds: xr.Dataset, values: dict[str, float]) -> str:
     return f"{regime}: {count} in {each}{mean if blows else ''}{strength}"
 
 
-def _power_line(ds: xr.Dataset, values: dict[str, float]) -> str:
-    """Return impact power, specific energy and stick-slip index as text; quantities that are undefined are left out."""
-    parts = []
-    for name in ("impact_power", "specific_energy", "stick_slip_index"):
-        if math.isfinite(values.get(name, math.nan)) and (name != "impact_power" or values[name] > 0):
-            factor, unit = scale(ds[name])
-            radius = hole_radius_of(ds) if name == "specific_energy" else None
-            hole = "" if radius is None else f" (hole of radius {radius:g} m)"
-            parts.append(f"{name.replace('_', ' ')} {factor * values[name]:.4g} {pretty_unit(unit)}".rstrip() + hole)
-    return ", ".join(parts).replace("stick slip", "stick-slip")
-
-
-def _penetration_lines(ds: xr.Dataset, values: dict[str, float]) -> list[str]:
+def _penetration_lines(ds: xr.Dataset, values: dict[str, Any]) -> list[str]:
     rate, relief, slip = (values.get(name, math.nan) for name in ("rate_of_penetration", "relief", "slip_per_impact"))
     threshold = parameters_of(ds)["threshold"]
     event = "pulse" if "regime" not in values else "blow"

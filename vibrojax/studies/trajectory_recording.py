@@ -54,9 +54,8 @@ def adaptive(
     """Integrate with a diffrax solver. Return the motion, the number of steps, and the solver's name."""
     from vibrojax.stepping.adaptive import adaptive_trajectory, solver_named  # diffrax takes a second to import
 
-    kind = solver_named(solver)
+    kind, width = solver_named(solver), accuracy.smoothing
     scalars, start = jax.tree.map(lambda value: value[0], (constants, state))
-    width = accuracy.smoothing
     states, steps = adaptive_trajectory(
         scene, scalars, start, jnp.asarray(times), width, kind, tolerance, accuracy.step
     )
