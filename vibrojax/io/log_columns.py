@@ -61,16 +61,14 @@ _ALIASES = {
 _QUANTITIES = {alias: name for name, text in _ALIASES.items() for alias in text.split(", ")}
 _UNITS_IN_NAMES = {"rop 1 ft": "ft/h", "rop 1 m": "m/h"}
 
-_FIELD_SIGN = "rop depth hour"
-"""Name that only RigCLOUD's exports have, which are in US field units and do not say so."""
+_FIELD_SIGN = "rop depth hour"  # name that only RigCLOUD's exports have, which are in US field units and do not say so
 _FIELD_UNITS = {"m": "ft", "m s-1": "ft/h", "N": "klbf", "rad s-1": "rpm", "N m": "ft lbf", "m3 s-1": "gal/min"}
 _FIELD_UNITS |= {"Pa": "psi"}
 
 _TIME_FORMAT = re.compile(r"[a-z .:/-]*:[a-z .:/-]*|unitless|date ?time", re.IGNORECASE)
 """What exports write in place of the unit of times as texts."""
 
-_MARGIN = 2.0
-"""Ratio to the range of rigs beyond which the median of a column without a unit is in another unit."""
+_MARGIN = 2.0  # ratio to the range of rigs beyond which the median of a column without a unit is in another unit
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _BRACKETED = re.compile(r"\s*(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")

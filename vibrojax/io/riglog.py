@@ -34,8 +34,7 @@ LIMITS_OF_LOGS = (
 """What summaries and pictures of a log say about it."""
 
 RPM = 2 * np.pi / 60
-SLOWEST_ROTATION = 1 * RPM
-"""Rotary speed [rad/s] below which the string does not rotate."""
+SLOWEST_ROTATION = 1 * RPM  # rotary speed [rad/s] below which the string does not rotate
 
 OFF_BOTTOM = 0.5
 """Distance [m] of the bit from the hole's end above which it does not drill; depths are rounded to 0.3 m or less."""

@@ -23,14 +23,9 @@ from vibrojax.studies.calibration_history import VELOCITY
 from vibrojax.studies.calibration_model import CONSTANT, RATE, SCREENED, Fit, Model, fit_from, starts
 from vibrojax.studies.subjects import FileAnalysis
 
-MIN_EXPONENT = 0.1
-"""Exponent in a combination below which the summary leaves a parameter out."""
-
-WELL_DETERMINED = 0.1
-"""Nonlinearity up to which the summary trusts standard errors and posterior."""
-
-LARGE_RESIDUAL = 2.0
-"""Root mean square of the residuals, in standard errors, above which the summary doubts the model."""
+MIN_EXPONENT = 0.1  # exponent in a combination below which the summary leaves a parameter out
+WELL_DETERMINED = 0.1  # nonlinearity up to which the summary trusts standard errors and posterior
+LARGE_RESIDUAL = 2.0  # root mean square of the residuals, in standard errors, above which the summary doubts the model
 
 _MARKS = ("o", "s", "^", "D", "v", "P", "X", "<")
 

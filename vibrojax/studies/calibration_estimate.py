@@ -10,20 +10,14 @@ from vibrojax.errors import InputError, counted
 from vibrojax.io.variables import Variable
 from vibrojax.studies.calibration_model import ORBIT_ERROR, TOLERANCE, Fit, Model, Problem, best_along_step
 
-CHECKED_DRAWS = 32
-"""Draws of the posterior at which the motion is computed again, to check the linear approximation."""
-
-REASONS = ("identified", "confounded", "at-bound")
-"""Whether the data determine a parameter."""
+CHECKED_DRAWS = 32  # draws of the posterior at which the motion is computed again, to check the linear approximation
+REASONS = ("identified", "confounded", "at-bound")  # whether the data determine a parameter
 
 USES = ("no", "yes")
 """Whether an observation is used: it is not where the followed orbit does not exist, or is not stable."""
 
-INTERVAL = 0.95
-"""Probability with which an interval covers the true value."""
-
-VAGUE = 0.5
-"""Relative standard error from which on a parameter is not identified."""
+INTERVAL = 0.95  # probability with which an interval covers the true value
+VAGUE = 0.5  # relative standard error from which on a parameter is not identified
 
 AT_BOUND = 1e-2
 """Distance from a bound, relative to the interval, within which an estimate whose next step leads beyond the bound is

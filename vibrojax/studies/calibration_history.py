@@ -19,14 +19,9 @@ from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values as States
 from vibrojax.stepping import Accuracy, Goal, Lane, Varied, lane_at
 
-VELOCITY = "v1"
-"""State that a history records: the velocity of the bit relative to the drive."""
-
-SAMPLES_PER_CALL = 64
-"""Number of samples per call of the compiled program, which is compiled for this number only."""
-
-SAME_TIME = 1e-9
-"""Difference of times [s] that rounding may cause."""
+VELOCITY = "v1"  # state that a history records: the velocity of the bit relative to the drive
+SAMPLES_PER_CALL = 64  # number of samples per call of the compiled program, which is compiled for this number only
+SAME_TIME = 1e-9  # difference of times [s] that rounding may cause
 
 MOST_STEPS_PER_SAMPLE = 2_000
 """Limit of steps from one sample to the next, far more than between two returns to the section."""

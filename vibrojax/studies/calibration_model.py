@@ -21,20 +21,14 @@ CONSTANT = "C"
 
 RATE, RELIEF = "rate_of_penetration", "relief"
 
-MAX_EVALUATIONS = 60
-"""Limit of the evaluations of one search; a search from a point of the box takes 5 to 20."""
-
-TOLERANCE = 1e-8
-"""Relative tolerance of a search, far below every standard error."""
+MAX_EVALUATIONS = 60  # limit of the evaluations of one search; a search from a point of the box takes 5 to 20
+TOLERANCE = 1e-8  # relative tolerance of a search, far below every standard error
 
 ORBIT_ERROR = 1e-10
 """Relative error of the features of orbits; residuals cannot show a smaller error of the observations."""
 
-SCREENED = 32
-"""Number of points of the box whose motions are simulated, to begin the searches at the best of them."""
-
-SCREENED_ROWS = 4
-"""Largest number of observations that are simulated at each of these points."""
+SCREENED = 32  # number of points of the box whose motions are simulated, to begin the searches at the best of them
+SCREENED_ROWS = 4  # largest number of observations that are simulated at each of these points
 
 OTHER_UNIT = 10.0
 """Ratio to all motions inside the bounds beyond which observations are in another unit, if one brings them back."""
@@ -45,8 +39,7 @@ MAX_ROUNDS = 8
 SAME_WEIGHTS = 1e-3
 """Relative change of the weights, far below any error of an estimated noise, at which the rounds end."""
 
-STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
-"""Shares of a step of Gauss and Newton that are tried where a search ends."""
+STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)  # shares of a step of Gauss and Newton that are tried where a search ends
 
 SMALLEST_SHARE = 1e-2
 """Share of its variable's mean size below which a value has no smaller error: values near 0 are not exact."""

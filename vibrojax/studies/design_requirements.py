@@ -1,7 +1,7 @@
 """Requirements of a design: its file, the assessment of a point by its lanes, and why no point is feasible."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from functools import cached_property
 from os import PathLike
 from typing import Any, ClassVar
@@ -14,6 +14,7 @@ from vibrojax.errors import InputError, Place, counted, shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.lanes.labels import sweep_variables
 from vibrojax.maps.bounds import MAX_TOLERANCES, VariedFile, read_bounds, read_file
+from vibrojax.maps.dataset import parameter_attributes
 from vibrojax.maps.read import read_parameters
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.measures.labels import REGIMES
@@ -31,25 +32,11 @@ Offsets = Float[np.ndarray, "samples tolerances"]
 Lanes = dict[str, np.ndarray]
 """Variables of lanes by name, arrays (points or samples, starts, ...)."""
 
-MARGIN = 2.0
-"""Tightening of a limit, in units of the accepted relative error of a lane: other runs of the point meet it, too."""
-
-DRAWN_BOX = 1.04
-"""Size of the box from which verification draws, relative to the tolerances: what holds there holds in the box."""
-
-FRONT_POINTS = 20
-"""Default number of points of a front."""
-
-TOLERANCE_SPAN = (0.0, 2.0)
-"""Default range of the factor of the tolerances."""
-
-COMPLEX_STEP = 1e-20
-"""Imaginary step by which substitutions of parameters are differentiated, without rounding errors."""
-
+MARGIN = 2.0  # of a limit, in units of the accepted relative error of a lane: other runs of the point meet it, too
+DRAWN_BOX = 1.04  # from which verification draws, relative to the tolerances: what holds there holds in the box
+COMPLEX_STEP = 1e-20  # imaginary, by which substitutions of parameters are differentiated without rounding errors
 HALF_WIDTH = Parameter("half-width", 1.0, "1", "half-width of a tolerance", "w", lowest=0.0, open_below=True)
-
-_COUNTS = {"impacts", "striker_turns"}
-"""Variables that are stored as floats but are whole numbers, whose limits are not tightened."""
+_COUNTS = {"impacts", "striker_turns"}  # whole numbers that are stored as floats, whose limits are not tightened
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +87,12 @@ class Constraint:
     def sign(self) -> float:
         """Sign of the slack's derivative with respect to the variable."""
         return -1.0 if self.end == "most" else 1.0
+
+
+def tightened(variables: Mapping[str, Variable], name: str, end: str, limit: float, error: float) -> Constraint:
+    """Return a limit of a variable, which is tightened unless the variable counts; `error`: accepted one of a lane."""
+    is_smooth = variables[name].dtype == np.float64 and name not in _COUNTS
+    return Constraint(name, end, limit, MARGIN * error * is_smooth * abs(limit))
 
 
 @dataclass(frozen=True)
@@ -154,11 +147,16 @@ class DesignSpec:
         against = (self.front.against,) if self.front is not None and self.front.against != "tolerance" else ()
         return tuple(dict.fromkeys((self.maximise, *(c.variable for c in self.constraints), *against)))
 
-    @property
-    def without_front_limit(self) -> tuple[Constraint, ...]:
-        """The constraints without that of the variable against which the front is drawn."""
-        own = self.front and (self.front.against, self.front.end)
-        return tuple(c for c in self.constraints if (c.variable, c.end) != own)
+    def within(self, limit: float | None) -> "DesignSpec":
+        """Return the design with another limit, or none, of the variable against which the front is drawn."""
+        front = self.front
+        assert front is not None
+        if front.against == "tolerance":
+            return replace(self, tolerances={name: (limit or 0) * x for name, x in self.tolerances.items() if limit})
+        kept = [c for c in self.constraints if (c.variable, c.end) != (front.against, front.end)]
+        if limit is not None:
+            kept.append(tightened(self.variables, front.against, front.end, limit, self.template.run.error))
+        return replace(self, constraints=(*kept,))
 
     def columns(self, unit: Points, offsets: Float[np.ndarray, "points tolerances"]) -> dict[str, np.ndarray]:
         """Return the parameters of points: nominal values in the unit box, and offsets in half-widths."""
@@ -187,14 +185,14 @@ class DesignSpec:
                 chain[parameter][:, k] = np.imag(x) / COMPLEX_STEP
         return values, {name: slope for name, slope in chain.items() if slope.any()}
 
-    def variable(self, name: str, words: str = "{}") -> Variable:
-        """Return unit and meaning of a variable of the dataset; `words`: its meaning, with {} for that of `name`."""
-        return Variable(self.variables[name].units, words.format(self.variables[name].long_name))
+    def column(self, dim: str, name: str, words: str, values: Any) -> tuple[Any, ...]:
+        """Return values of a variable of the lanes as a variable of the dataset; `words`: its meaning, with {}."""
+        about = self.variables[name]
+        return Variable(about.units, words.format(about.long_name)).entry(dim, values)
 
     def amount(self, name: str, value: float) -> str:
         """Return a value of a variable with its unit."""
-        unit = self.variables[name].units
-        return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
+        return f"{value:.6g} {self.variables[name].units}".removesuffix(" 1")
 
     def requirements(self) -> str:
         """Return the subject of the design in one line of text."""
@@ -204,11 +202,9 @@ class DesignSpec:
             words.append(f"{c.variable.replace('_', ' ')} at {c.end} {quantity_text(c.limit, limit)}")
         if self.share is not None:
             words.append(f"share of starts {self.share[0]:g} to {self.share[1]:g}")
-        parameters = self.template.system.parameters()
         for name, width in self.tolerances.items():
-            about = parameters.get(name)
-            half = quantity_text(width, xr.DataArray(width, attrs={"units": about.unit if about else "1"}))
-            words.append(f"{about.symbol if about else name} ± {half}")
+            about = parameter_attributes(self.template, name)
+            words.append(f"{about['symbol']} ± {quantity_text(width, xr.DataArray(width, attrs=about))}")
         return "; ".join(words) or "none"
 
 
@@ -245,12 +241,10 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     points = {name: [*ends] for name, ends in bounds.items()} | {name: [x, x] for name, x in fixed.items()}
     rest = options | {name: x for name, x in parameters.items() if name not in fixed}
     template = file.sweep(origin.file, points, parameters=rest, run=run)
-    here, share, constraints = place.at("subject"), None, list[Constraint]()
-    regime = file.subject.get("regime")
-    if regime is not None:
-        choice(here.at("regime"), regime, REGIMES)
+    here, share, constraints, regime = place.at("subject"), None, list[Constraint](), None
     for name, entry in file.subject.items():
         if name == "regime":
+            regime = choice(here.at(name), entry, REGIMES)
             continue
         if name != "share" and name not in known:
             raise here.at(name).error(_unknown_variable(name, names.scene, ("share", *known)))
@@ -259,23 +253,21 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
             raise here.at(name).error(fault)
         limits = Limits.read(here.at(name), entry)
         ends = {end: x for end, x in (("least", limits.least), ("most", limits.most)) if x is not None}
-        if name == "share":
-            share = ends.get("least", 0.0), ends.get("most", 1.0)
-            if not 0 <= share[0] <= share[1] <= 1:
-                raise here.at(name).error(f"{share[0]:g} to {share[1]:g} is not a range of shares between 0 and 1")
+        if name != "share":
+            constraints += [tightened(known, name, end, x, template.run.error) for end, x in ends.items()]
             continue
-        margin = MARGIN * template.run.error * (name in smooth and name not in _COUNTS)
-        constraints += [Constraint(name, end, limit, margin * abs(limit)) for end, limit in ends.items()]
+        share = ends.get("least", 0.0), ends.get("most", 1.0)
+        if not 0 <= share[0] <= share[1] <= 1:
+            raise here.at(name).error(f"{share[0]:g} to {share[1]:g} is not a range of shares between 0 and 1")
     if share is not None and not names.has_starts:
         raise here.at("share").error(f"scene {shown(names.scene)} has no starts; leave it out")
     if regime is not None and template.system.section is None:
         raise here.at("regime").error(f"motions of scene {shown(names.scene)} have no regimes")
     front = None if file.front is None else _read_front(place.at("front"), file.front, known, constraints)
     if front is not None and front.against == "tolerance" and not tolerances:
-        raise place.at("front").at("against").error("there is no [tolerance] to scale; add one")
+        raise place.at("front.against").error("there is no [tolerance] to scale; add one")
     if front is not None and front.against == maximise:
-        fault = f"{shown(maximise)} is what is maximised; name another variable"
-        raise place.at("front").at("against").error(fault)
+        raise place.at("front.against").error(f"{shown(maximise)} is what is maximised; name another variable")
     return DesignSpec(
         place=place, text=origin.text, template=template, maximise=maximise, robust=file.robust, bounds=bounds,
         tolerances=tolerances, fixed=fixed, regime=regime, share=share, constraints=(*constraints,), front=front,
@@ -328,7 +320,7 @@ def _read_front(
         if span[0] == span[1]:
             raise place.at("from").error(f"{span[0]:g} to {span[1]:g} is no interval")
     end = next((c.end for c in constraints if c.variable == against), "most")
-    return Front(against, end, count(place.at("points"), table.get("points", FRONT_POINTS), 2, 200), span)
+    return Front(against, end, count(place.at("points"), table.get("points", 20), 2, 200), span)
 
 
 class Assessment:

@@ -39,8 +39,7 @@ from vibrojax.studies.effects_sampling import (
 )
 from vibrojax.studies.subjects import FileAnalysis
 
-MIN_SHARE = 0.05
-"""Share of the variance below which a parameter or a pair counts as unimportant."""
+MIN_SHARE = 0.05  # share of the variance below which a parameter or a pair counts as unimportant
 
 _MAX_ROWS = 4
 _UNKNOWN = "#F2F2F2"  # ground of a pair whose interaction is within its error
@@ -131,8 +130,7 @@ def _why(row: xr.Dataset) -> str:
     )
 
 
-WIDE = 0.3
-"""Half-width of a confidence interval above which the summary recommends more samples."""
+WIDE = 0.3  # half-width of a confidence interval above which the summary recommends more samples
 
 CURVED = 0.5
 """Ratio of an effect to that of a straight line with the same variance below which the summary calls it not steady."""

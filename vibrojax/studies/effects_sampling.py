@@ -14,20 +14,11 @@ from vibrojax.io.variables import STATUSES
 from vibrojax.maps.bounds import corners
 from vibrojax.measures.labels import EQUILIBRIUM, SINGLE_IMPACT
 
-CONFIDENCE = 0.95
-"""Level of the confidence intervals."""
-
-RESAMPLES = 200
-"""Number of bootstrap samples from which the confidence intervals are estimated."""
-
-MIN_GROUPS = 8
-"""Smallest number of base samples from which indices are computed."""
-
-REASONS = ("known", "constant", "too-few-samples")
-"""Meanings of the flags of `sobol_reason`."""
-
-SHARE = "share_single_impact"
-"""Name in `of` for the share of starts from which a point has a single impact."""
+CONFIDENCE = 0.95  # level of the confidence intervals
+RESAMPLES = 200  # number of bootstrap samples from which the confidence intervals are estimated
+MIN_GROUPS = 8  # smallest number of base samples from which indices are computed
+REASONS = ("known", "constant", "too-few-samples")  # meanings of the flags of `sobol_reason`
+SHARE = "share_single_impact"  # name in `of` for the share of starts from which a point has a single impact
 
 # Up to eight parameters, all corners are run, 256 of them, and a fraction beyond. There, each further parameter is the
 # product of the signs of some of the first seven, or eight. Main effects and interactions of two parameters are not

@@ -122,8 +122,7 @@ def _after(state: str) -> str:
     return f"after the push in {SYMBOLS.get(state, state)}"
 
 
-SCAN, PRECISION = 256, 1e-3
-"""Default number of pushes per scan, and default relative width of the final bracket."""
+SCAN, PRECISION = 256, 1e-3  # default number of pushes per scan, and default relative width of the final bracket
 
 MAX_SCANS = 5
 """Largest number of scans; each scan covers the range below the smallest push that the previous scan found."""

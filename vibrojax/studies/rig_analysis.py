@@ -29,8 +29,7 @@ WINDOW = 30.0
 SLOWEST_SAMPLING = 2.0
 """Longest time [s] between rows for that index. Rarer rows miss the torque's extremes within a period."""
 
-MOST_FORMATIONS = 20
-"""Greatest number of texts in a column that are taken for names of formations or bits."""
+MOST_FORMATIONS = 20  # greatest number of texts in a column that are taken for names of formations or bits
 
 _NO_FOUNDER = {
     "no-bend": "the rate over the weight has no bend",
@@ -73,8 +72,7 @@ _TITLE_LETTERS = 18  # of a line above a track
 _TRIM = (2.0, 98.0)
 """Percentiles between which most values lie. Values further away than these differ are not drawn, but counted."""
 
-_LOG_SPAN = 30.0
-"""Ratio of the largest to the least energy from which its axis is logarithmic."""
+_LOG_SPAN = 30.0  # ratio of the largest to the least energy from which its axis is logarithmic
 
 Rows = Float[np.ndarray, " rows"]
 

@@ -48,8 +48,7 @@ DEFAULT_AXES = ("frequency", "v", "point")
 LOSSES = ("soft-l1", "squares")
 """Losses of a residual: SciPy's "soft_l1", scaled by the median absolute deviation, or its square."""
 
-USES = ("no-lane", "fitted", "censored", "left-out", "above-founder")
-"""Flags of the variable `data_use`."""
+USES = ("no-lane", "fitted", "censored", "left-out", "above-founder")  # flags of the variable `data_use`
 
 NO_VALUES = "without values, or with a negative rate"
 _FOR_LAW = frozenset((*known.LAW, WEIGHT, known.ROTATION_SPEED))  # faults in other columns do not stop a fit

@@ -41,8 +41,7 @@ PLACES = ("nominal", "corner", "edge", "interior", "refined")
 
 REFINED = PLACES.index("refined")
 
-INTERIOR_SAMPLES = 64
-"""Number of Sobol points inside the box: a power of two, for which the points are balanced."""
+INTERIOR_SAMPLES = 64  # number of Sobol points inside the box: a power of two, for which the points are balanced
 
 QUANTITIES = (
     "impact_velocity",
@@ -59,11 +58,8 @@ FIRST_STEP, LEAST_STEP = 0.25, 0.01
 """First and smallest step of the search, in half-widths: at the least step a smooth extreme is exact to 1e-4 of the
 change over the box."""
 
-SHRINKAGE = 0.4
-"""Factor of the step after a round that found nothing more extreme."""
-
-MAX_ROUNDS = 12
-"""Limit of the rounds, each of which is one batch of lanes."""
+SHRINKAGE = 0.4  # factor of the step after a round that found nothing more extreme
+MAX_ROUNDS = 12  # limit of the rounds, each of which is one batch of lanes
 
 SAME_POINT, SAME_VALUE = 1e-9, 1e-12
 """Distance in half-widths within which two points count as one, and relative range within which a quantity does."""
