@@ -44,6 +44,7 @@ MIN_SHARE = 0.05  # share of the variance below which a parameter or a pair coun
 _MAX_ROWS = 4
 _UNKNOWN = "#F2F2F2"  # ground of a pair whose interaction is within its error
 _BAR = 0.38  # height of a bar; two stand at each parameter
+Ticks = list[tuple[float, str]]
 
 
 def bars_and_interactions(ds: xr.Dataset) -> Sheet:
@@ -54,12 +55,13 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     of = [str(name) for name in ds["of"].values][:_MAX_ROWS]
     size = 9.0, len(of) * max(1.7, 0.6 + 0.22 * ds.sizes["parameter"]) + 0.8
     greatest = 100 * min(float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE)), 1.0)
-    norm = Normalize(0.0, greatest)
+    norm, signs = Normalize(0.0, greatest), symbols_of(ds)
+    ticks = [(float(k), signs.get(name, name)) for k, name in enumerate(map(str, ds["parameter"].values))]
     plots = []
     for k, name in enumerate(of):
         row = ds.sel(of=name)
-        plots.append(_share_plot(row, k, "share of the variance" if name == of[-1] else ""))
-        plots.append(_pair_plot(row, k, norm))
+        plots.append(_share_plot(row, k, "share of the variance" if name == of[-1] else "", ticks))
+        plots.append(_pair_plot(row, k, norm, ticks))
     rest = ds.sizes["of"] - len(of)
     further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
     level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
@@ -70,34 +72,26 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     return Sheet(plots, size, (1.5, 1.0), beside=False, **margins(ds, *notes))
 
 
-def _share_plot(row: xr.Dataset, k: int, label: str) -> Plot:
-    names = _symbols(row)
-    places = np.arange(len(names), dtype=float)
-    layers: list[Layer] = []
+def _share_plot(row: xr.Dataset, k: int, label: str, ticks: Ticks) -> Plot:
+    places, layers = np.arange(len(ticks), dtype=float), list[Layer]()
     looks = (-_BAR / 2, "first_order", BIT, "alone"), (_BAR / 2, "total_order", FAINT, "with all its\ninteractions")
     for shift, key, colour, text in looks:
         values, errors = np.clip(row[key].values, 0.0, 1.0), np.nan_to_num(row[f"{key}_conf"].values)
         bottom = places + shift - _BAR / 2
-        layers.append(Bars(np.zeros(len(names)), bottom, values, np.full(len(names), _BAR), colour, label=text))
+        layers.append(Bars(0 * places, bottom, values, np.full(len(ticks), _BAR), colour, label=text))
         ends = np.clip([row[key].values - errors, row[key].values + errors], 0.0, 1.0)
         layers.append(Line(*bars(places + shift, *ends)[::-1], width=0.8))
     if int(row["sobol_reason"]) != REASONS.index("known"):
         layers.append(Text(0.5, 0.5, _why(row), relative=True))
-    up = Axis(ticks=[*zip(places.tolist(), names, strict=True)], reversed=True)
+    up = Axis(ticks=ticks, reversed=True)
     return Plot(layers, Axis(label, limits=(0.0, 1.0)), up, _title(row), (k, 0))
 
 
-def _symbols(row: xr.Dataset) -> list[str]:
-    signs = symbols_of(row)
-    return [signs.get(str(name), str(name)) for name in row["parameter"].values]
-
-
-def _pair_plot(row: xr.Dataset, k: int, norm: Normalize) -> Plot:
+def _pair_plot(row: xr.Dataset, k: int, norm: Normalize, ticks: Ticks) -> Plot:
     """Draw the lower triangle of second-order indices; those within their confidence interval of 0 are in brackets."""
-    names = _symbols(row)
     values, errors = (100 * x for x in _interactions(row))
-    lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
-    ends = np.arange(len(names) + 1) - 0.5
+    lower = np.where(np.tri(len(ticks), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
+    ends = np.arange(len(ticks) + 1) - 0.5
     layers: list[Layer] = [Cells(ends, ends, lower, colormaps["Blues"], norm, hatched=False)]
     unknown = np.isfinite(lower) & ~(values > errors)
     layers.append(one_colour(ends, ends, unknown, _UNKNOWN, order=0.5))
@@ -105,7 +99,6 @@ def _pair_plot(row: xr.Dataset, k: int, norm: Normalize) -> Plot:
         colour = "#FFFFFF" if norm(lower[i, j]) > 0.6 and not unknown[i, j] else INK
         text = f"({lower[i, j]:.0f})" if unknown[i, j] else f"{lower[i, j]:.0f}"
         layers.append(Text(float(j), float(i), text, colour=colour, size=7.5))
-    ticks = [(float(place), name) for place, name in enumerate(names)]
     across, up = Axis(ticks=ticks, group="other"), Axis(ticks=ticks, reversed=True)
     return Plot(layers, across, up, "interactions of pairs [%]", (k, 1))
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
+from jaxtyping import Float, Shaped
 
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.io.attributes import flags, parameters_of, run_of
@@ -124,15 +124,9 @@ def _after(state: str) -> str:
 
 SCAN, PRECISION = 256, 1e-3  # default number of pushes per scan, and default relative width of the final bracket
 
-MAX_SCANS = 5
-"""Largest number of scans; each scan covers the range below the smallest push that the previous scan found."""
-
-BRACKET_PIECES, BRACKET_ROUNDS = 32, 4
-"""Number of pieces into which a bracket is divided in each round, and largest number of rounds."""
-
-PATIENCE = 6.0
-"""Factor by which the settling time of irregular motions is extended, because they may still return to the cycle."""
-
+MAX_SCANS = 5  # each scan covers the range below the smallest push that the previous scan found
+BRACKET_PIECES, BRACKET_ROUNDS = 32, 4  # into which a bracket is divided in each round, and most rounds
+PATIENCE = 6.0  # times the settling time for irregular motions, because they may still return to the cycle
 SIGNS = (-1, 1)
 
 METHOD = (
@@ -196,10 +190,8 @@ def smallest_push(
     >>> f"{1e3 * float(pushed.push_x1.sel(sign=1)):.0f} mm"  # of the bit at the section; it ends in another motion
     '48 mm'
     """
-    settings = {"most": most, "scan": scan, "precision": precision}
-    return answered(
-        Pushes, scene, settings | {"start": start, "settle": settle, "observe": observe}, parameters, progress
-    )
+    run = {"start": start, "settle": settle, "observe": observe}
+    return answered(Pushes, scene, run | {"most": most, "scan": scan, "precision": precision}, parameters, progress)
 
 
 _MOST = "most_"
@@ -294,33 +286,28 @@ class Pushes(MachineAnalysis[Machines]):
             mask = high - low > self.precision * high  # False for NaN
             if mask.any():
                 narrow(low[..., None] + (high - low)[..., None] * (np.arange(1, BRACKET_PIECES) / BRACKET_PIECES), mask)
-        return self._dataset(spec, cycle, stable, bound, low, high, regime)
+        found = {_PUSH: high, "bracket_": high - low, "regime_": regime}
+        both = {part: x.reshape(*bound.shape, len(SIGNS)) for part, x in found.items()}
+        return self._dataset(spec, cycle, stable, both | {"bound_": bound})
 
     def _dataset(
-        self,
-        spec: Machines,
-        cycle: xr.Dataset,
-        stable: Index,
-        bound: Float[np.ndarray, "stable states"],
-        low: Float[np.ndarray, "stable directions"],
-        high: Float[np.ndarray, "stable directions"],
-        regime: Int[np.ndarray, "stable directions"],
+        self, spec: Machines, cycle: xr.Dataset, stable: Index, found: Mapping[str, Shaped[np.ndarray, "stable ..."]]
     ) -> xr.Dataset:
         """Return the dataset of pushes; points without a stable cycle have NaN, and 0 as regime after the push."""
         sweep, system = spec.sweep, spec.sweep.system
         variables: dict[str, Any] = {}
         for k, name in enumerate(system.start_states):
-            state, pair = system.states[system.place(name)], slice(2 * k, 2 * k + 2)
+            state = system.states[system.place(name)]
             push = f"push in the {state.long_name}, at the section"
+            leaves, returns = "after which the motion leaves the working cycle", "after which the motion returns"
             ends_in = f"regime in which the motion ends after the smallest {push}"
-            for part, x, about in (
-                (_PUSH, high[:, pair],
-                 Variable(state.unit, f"smallest {push}, after which the motion leaves the working cycle")),
-                ("bracket_", (high - low)[:, pair],
-                 Variable(state.unit, f"distance to the next smaller {push}, after which the motion returns")),
-                ("bound_", bound[:, k], Variable(state.unit, f"greatest tried {push}")),
-                ("regime_", regime[:, pair], replace(VARIABLES["regime"], long_name=ends_in)),
-            ):  # fmt: skip
+            for part, about in {
+                _PUSH: Variable(state.unit, f"smallest {push}, {leaves}"),
+                "bracket_": Variable(state.unit, f"distance to the next smaller {push}, {returns}"),
+                "bound_": Variable(state.unit, f"greatest tried {push}"),
+                "regime_": replace(VARIABLES["regime"], long_name=ends_in),
+            }.items():
+                x = found[part][:, k]
                 whole = np.full((cycle.sizes["point"], *x.shape[1:]), 0 if part == "regime_" else np.nan)
                 whole[stable] = x
                 variables[part + name] = about.entry(("point", "sign")[: x.ndim], whole)
@@ -394,12 +381,11 @@ class Pushes(MachineAnalysis[Machines]):
         The line contains the smallest push and the regime in which the motion then ends.
         """
         machines = ds if "point" in ds.dims else ds.expand_dims("point")
-        varied = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
-        meanings = flags(ds["regime"])
-        lines = []
+        named = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
+        meanings, lines = flags(ds["regime"]), []
         for index in range(machines.sizes["point"]):
             machine = machines.isel(point=index)
-            values = [f"{name} = {machine[name].item():g}" for name in varied if machine[name].dtype.kind == "f"]
+            values = [f"{name} = {machine[name].item():g}" for name in named if machine[name].dtype.kind == "f"]
             lines += [f"{', '.join(values)}:"] if values else []
             regime = meanings[int(machine["regime"])]
             if not float(machine[f"bound_{_pushed(machine)[0]}"]) > 0:
