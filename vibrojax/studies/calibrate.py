@@ -114,7 +114,6 @@ def _combination_plot(ds: xr.Dataset) -> Plot:
 
 
 def _value(ds: xr.Dataset, k: int) -> xr.DataArray:
-    """Return the estimate of a parameter as an array with its unit."""
     return xr.DataArray(ds["estimate"].values[k], attrs={"units": str(ds["parameter_unit"].values[k])})
 
 
@@ -170,7 +169,6 @@ class Calibrations(FileAnalysis[Calibration]):
         return read_calibration(file, columns)
 
     def identity(self, spec: Calibration) -> dict[str, object]:
-        """Return all settings on which the result depends, as flat JSON values."""
         problem = spec.problem
         times = {} if problem.history is None else {"time": problem.history.times}
         tables = problem.conditions | dict(zip(problem.of, problem.values.T, strict=True)) | times
@@ -202,7 +200,6 @@ class Calibrations(FileAnalysis[Calibration]):
             return self._dataset(spec, model, fit)
 
     def _dataset(self, spec: Calibration, model: Model, fit: Fit) -> xr.Dataset:
-        """Return the dataset of the best fit; raise `InputError` if it has not reached a minimum."""
         problem, history = spec.problem, spec.problem.history
         given, count, freedom = problem.errors is not None, problem.parameters, fit.freedom
         names = problem.names[:count]
@@ -255,7 +252,6 @@ class Calibrations(FileAnalysis[Calibration]):
         )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the estimates, the combinations that the data determine, and what speaks against the estimates."""
         reasons = [flags(ds["reason"])[int(flag)] for flag in ds["reason"].values]
         lines = [
             f"{text}{'' if reason == 'identified' else f' ({reason})'}"

@@ -89,7 +89,6 @@ class History:
 
 
 def _constants(scene: Scene[Any], start: str | None, begin: Begin) -> tuple[Any, States]:
-    """Return the constants of the scene for a motion, and its initial state."""
     p, state = begin
     c = scene.constants(p)
     state = state if start is None else scene.start(c, start, state[0].shape)

@@ -80,12 +80,10 @@ class Problem:
 
     @property
     def rows(self) -> int:
-        """Number of rows; the other observations are samples of the history."""
         return len(self.labels) - (0 if self.history is None else len(self.history.times))
 
     @property
     def parameters(self) -> int:
-        """Number of unknown parameters; the other unknowns are states."""
         return len(self.names) - (0 if self.history is None else len(self.history.states))
 
     @property
@@ -173,7 +171,6 @@ class Target(NamedTuple):
 
     @property
     def used(self) -> Rows:
-        """Mask of the observations that are fitted."""
         return np.asarray((self.weight > 0).any(axis=1))
 
     def residuals(self, prediction: Prediction, theta: Theta) -> Float[np.ndarray, " residuals"]:
@@ -182,7 +179,6 @@ class Target(NamedTuple):
         return np.concatenate([(self.weight * known).ravel(), (theta - self.mean) / self.width])
 
     def jacobian(self, prediction: Prediction) -> Float[np.ndarray, "residuals unknown"]:
-        """Return the derivatives of the residuals."""
         slopes = np.where(self.weight[..., None] > 0, prediction.slopes, 0.0) * self.weight[..., None]
         return np.concatenate([slopes.reshape(-1, len(self.mean)), np.diag(1 / self.width)])
 
@@ -218,11 +214,9 @@ class Model:
             self._branch.evaluate(problem.points(theta[None])[[row]])
 
     def predict(self, theta: Theta) -> Prediction:
-        """Return the predictions at theta."""
         return self.predict_all(theta[None])[0]
 
     def predict_all(self, thetas: Thetas) -> list[Prediction]:
-        """Return the predictions at each row of `thetas`."""
         if self._last is not None and self._last[0] == thetas.tobytes():
             return self._last[1]
         problem, rows, history = self._problem, self._problem.rows, self._problem.history

@@ -229,7 +229,6 @@ class Designs(FileAnalysis[DesignSpec]):
         return self.dataset(data, coords, title=title, **about)
 
     def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
-        """Return the candidates as points of a sweep, with their variables."""
         tables = tomllib.loads(str(ds.attrs.get("design", "")))
         if "scene" not in tables:
             return None
@@ -245,7 +244,6 @@ class Designs(FileAnalysis[DesignSpec]):
         return lanes.assign_attrs(shared_attributes(sweep, self.kind, str(ds.attrs.get("title", "")), self.kind)), sweep
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the best candidate, its worst values within the tolerances, the other candidates, and the front."""
         best = ds.isel(candidate=0)
         names = [str(name) for name in ds["parameter"].values]
         what = str(ds.attrs.get("maximise", "objective")).replace("_", " ")

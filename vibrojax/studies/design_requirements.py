@@ -80,12 +80,10 @@ class Constraint:
 
     @property
     def scale(self) -> float:
-        """Unit of the slack."""
         return abs(self.limit) or 1.0
 
     @property
     def sign(self) -> float:
-        """Sign of the slack's derivative with respect to the variable."""
         return -1.0 if self.end == "most" else 1.0
 
 
@@ -133,12 +131,10 @@ class DesignSpec:
 
     @cached_property
     def low(self) -> Unit:
-        """Least values of the varied parameters."""
         return np.array([low for low, _ in self.bounds.values()])
 
     @cached_property
     def width(self) -> Unit:
-        """Distances between the bounds of the varied parameters."""
         return np.array([high - low for low, high in self.bounds.values()])
 
     @property
@@ -191,11 +187,9 @@ class DesignSpec:
         return Variable(about.units, words.format(about.long_name)).entry(dim, values)
 
     def amount(self, name: str, value: float) -> str:
-        """Return a value of a variable with its unit."""
         return f"{value:.6g} {self.variables[name].units}".removesuffix(" 1")
 
     def requirements(self) -> str:
-        """Return the subject of the design in one line of text."""
         words = [f"regime {self.regime}"] if self.regime else []
         for c in self.constraints:
             limit = xr.DataArray(c.limit, attrs={"units": self.variables[c.variable].units})
@@ -363,7 +357,6 @@ class Assessment:
 
     @property
     def feasible(self) -> bool:
-        """True if every requirement holds in every sample."""
         return self.badness == 0
 
     @property
@@ -379,13 +372,11 @@ class Assessment:
 
     @property
     def violated(self) -> list[Constraint]:
-        """The violated constraints, the worst first."""
         slack = np.where(self.fit, self.slack, np.inf).min(axis=(1, 2))
         return [self.spec.constraints[j] for j in np.argsort(slack) if slack[j] < 0]
 
     @property
     def nominal(self) -> Lanes:
-        """The lanes of the nominal point."""
         return {name: x[:1] for name, x in self.lanes.items()}
 
     def held(self, name: str, rows: slice = slice(None)) -> np.ndarray:

@@ -100,7 +100,6 @@ class Search:
         ]
 
     def map(self) -> list[Assessment]:
-        """Assess the points of a grid or a Sobol sample over the bounds, without tolerances."""
         count = len(self.spec.bounds)
         if count in MAP_AXIS:
             return self.assess(np.array([*product(np.linspace(0, 1, MAP_AXIS[count]), repeat=count)]), self.centre)

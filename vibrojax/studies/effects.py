@@ -112,7 +112,6 @@ def _title(row: xr.Dataset) -> str:
 
 
 def _scale(row: xr.Dataset) -> tuple[float, str]:
-    """Return the factor and the unit in which a row's variable is printed."""
     values = np.array([float(row["mean"]), float(row["std"]), *np.abs(np.nan_to_num(row["effect"].values))])
     return scale(xr.DataArray(values, attrs={"units": str(row["of_unit"].item())}))
 
@@ -303,7 +302,6 @@ class Studies(FileAnalysis[Study]):
             return self._dataset(spec, lanes)
 
     def _dataset(self, spec: Study, lanes: xr.Dataset) -> xr.Dataset:
-        """Return the dataset of a study from the dataset of its sweep."""
         lanes, sampling, sweep = lanes.transpose("point", ...), spec.sampling, spec.sweep
         rows: list[dict[str, Any]] = []
         for name in spec.of:
@@ -346,7 +344,6 @@ class Studies(FileAnalysis[Study]):
         )
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return a sentence for each parameter and each important pair of parameters, and the lanes treated by rule."""
         facts: dict[str, Any] = {}
         lines: list[str] = []
         keys = ("first_order", "first_order_conf", "total_order", "total_order_conf", "effect")

@@ -62,7 +62,6 @@ class Sampling:
 
     @property
     def names(self) -> list[str]:
-        """Names of the parameters."""
         return list(self.bounds)
 
     @property
@@ -72,7 +71,6 @@ class Sampling:
 
     @property
     def problem(self) -> dict[str, object]:
-        """The description of the box for SALib."""
         return {"num_vars": len(self.bounds), "names": self.names, "bounds": [list(x) for x in self.bounds.values()]}
 
     def points(self) -> Points:

@@ -257,7 +257,6 @@ class Pushes(MachineAnalysis[Machines]):
         low, high, regime = np.zeros_like(top), np.full_like(top, np.nan), np.zeros(top.shape, int)
 
         def narrow(pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray) -> None:
-            """Update the brackets with the results of `pushes` in the directions selected by `mask`."""
             tried = pushes[mask]
             point, direction = np.repeat(np.argwhere(mask), pushes.shape[-1], axis=0).T
             states = begin[point]
@@ -328,7 +327,6 @@ class Pushes(MachineAnalysis[Machines]):
         return dataset if spec.several else dataset.isel(point=0, drop=True)
 
     def _bounds(self, system: Scene[Any], cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
-        """Return the greatest push to be tried in each state variable."""
         section = system.driving_part().section
         assert section is not None
         bounds: dict[str, np.ndarray] = {}
@@ -430,5 +428,4 @@ def _outcomes(
 
 
 def _pushed(ds: xr.Dataset) -> list[str]:
-    """Return the state variables whose pushes a dataset holds."""
     return [str(name).removeprefix(_PUSH) for name in ds.data_vars if str(name).startswith(_PUSH)]

@@ -247,11 +247,9 @@ class Rigs(Analysis):
     pictures = (PictureRule("a rig log", lambda held: "specific_energy" in held.variables, rig_picture),)
 
     def run(self, source: AnalysisSource, progress: bool = True) -> xr.Dataset:
-        """Compute the measures, as [vibrojax.rig][] does."""
         return rig(source)
 
     def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, None]:
-        """Return the rows as points over depth or row, in the units of the tracks."""
         down, height = vertical(ds)
         units = {} if ds.attrs.get("drawn_in") == "si" else _DRILLERS
         rows = in_units(ds.drop_vars(down.name, errors="ignore"), units).rename(row=POINT)
@@ -261,7 +259,6 @@ class Rigs(Analysis):
         return self.summary(ds)[::-1]
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return how the log was read, the founder point, the medians of the measures, and what the log can inform."""
         reason, (factor, unit) = FOUNDER_REASONS[int(ds["founder_reason"])], _unit(ds, "N")
         founder, does = float(ds["founder_weight"]), "falls" if float(ds["slope_above"]) < 0 else "does not rise"
         lines = [f"founder point at a weight of {factor * founder:.4g} {unit}; above it the rate {does}"]

@@ -148,7 +148,6 @@ class ToleranceBox:
 
     @cached_property
     def sweep(self) -> Sweep:
-        """The sweep over the samples of `sample_box`."""
         return self.sweep_over(sample_box(len(self.pairs))[0])
 
 
@@ -303,7 +302,6 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         return ds.assign_attrs({**about, "extremes": f"extremes of {obtained}; {bounds}"})
 
     def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
-        """Return the samples as points of a sweep, with their variables; None for a system without a name."""
         points = ds[[name for name in ds.data_vars if "sample" in ds[name].dims]].rename(sample=POINT)
         points.attrs.pop(IDENTITY, None)  # it states the box, which the sweep does not have
         try:
@@ -331,8 +329,6 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
 
 
 def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object], list[str]]:
-    """Return the behaviour from one start, as facts and as lines of text."""
-
     def place(sample: int) -> dict[str, float]:
         return {name: float(ds[name][sample]) for name in toleranced(ds)}
 
