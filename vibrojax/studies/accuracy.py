@@ -20,43 +20,20 @@ from vibrojax.errors import Place, counted, printable
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.contents import SETTING
-from vibrojax.pictures.plots import (
-    FAINT,
-    INK,
-    Area,
-    Axis,
-    Key,
-    Layer,
-    Line,
-    Look,
-    Picture,
-    Plot,
-    Sheet,
-    bars,
-    dots,
-    key,
-)
+from vibrojax.pictures.plots import FAINT, INK, Area, Axis, Key, Layer, Line, Look, Plot, Sheet, bars, dots, key
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasRock
 from vibrojax.settings.values import check_distinct, choice
 from vibrojax.stepping import Accuracy
-from vibrojax.studies.accuracy_programs import REFERENCE as FINE
-from vibrojax.studies.accuracy_programs import (
-    SCENES,
-    SETTINGS_TEXT,
-    DiffraxProgram,
-    Features,
-    Program,
-    Setting,
-    settings_of,
-)
-from vibrojax.studies.accuracy_programs import SECOND_REFERENCE as SECOND
+from vibrojax.studies import accuracy_programs as programs
+from vibrojax.studies.accuracy_programs import DiffraxProgram, Features, Program, Setting, settings_of
 from vibrojax.studies.analysis import Analysis, PictureRule
 
 QUICK_SCENES = ("vibro-impact", "penetration")
 REPEATS, QUICK_REPEATS, LONG_REPEATS = 5, 2, 0.6  # numbers of runs, and time [s] from which two suffice
 OTHER_MOTION_ERROR = 0.5  # relative error from which a lane counts as another motion than the reference
 TRUSTED_WITHIN = 1e-4  # relative difference of the two references up to which a lane is used for comparisons
+FINE, SECOND = programs.REFERENCE, programs.SECOND_REFERENCE
 REFERENCE_TEXT = (
     f"the located method, float64, at a tolerance of {FINE.tolerance:g} and a stride of {FINE.stride:g}; "
     f"reference_spread is its difference from another one (tolerance {SECOND.tolerance:g}, stride {SECOND.stride:g})"
@@ -116,9 +93,9 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     >>> bool((located.error_worst[located.precision == "float64"] < 1e-6).all())
     True
     """
-    scenes = tuple(scenes or (QUICK_SCENES if quick else SCENES))
+    scenes = tuple(scenes or (QUICK_SCENES if quick else programs.SCENES))
     for index, scene in enumerate(scenes):
-        choice(Place("accuracy", "scenes").item(index), scene, SCENES)
+        choice(Place("accuracy", "scenes").item(index), scene, programs.SCENES)
     check_distinct(Place("accuracy", "scenes"), scenes, "scene")
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
@@ -131,7 +108,7 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
         coordinates,
         title="Speed against error",
         reference=REFERENCE_TEXT,
-        settings=SETTINGS_TEXT,
+        settings=programs.SETTINGS_TEXT,
         machine=json.dumps(machine()),
         wall_time_s=time.monotonic() - began,
     )
@@ -149,17 +126,17 @@ def _measured_scene(scene: str, quick: bool, bar: Progress) -> list[dict[str, An
     else:
         usable &= reference["rate_of_penetration"] > 0
     spread = error[usable].max()
-    rows, programs = [], dict[tuple[str, str], tuple[Program, float]]()
+    rows, compiled = [], dict[tuple[str, str], tuple[Program, float]]()
     for setting in settings_of(scene, quick):
         key, by_diffrax = (setting.method, setting.precision), setting.method.startswith("diffrax")
         row = {"lanes": usable.sum(), "status": len(STATUSES) - 1, "remark": STATUSES["unsupported"]}
         if not (by_diffrax and isinstance(fine.sweep.system, HasRock)):
-            if key not in programs:
+            if key not in compiled:
                 program = (DiffraxProgram if by_diffrax else Program)(scene, *key, quick)
                 began = time.perf_counter()
                 program.compile(setting.accuracy)
-                programs[key] = program, time.perf_counter() - began
-            program, compile_time = programs[key]
+                compiled[key] = program, time.perf_counter() - began
+            program, compile_time = compiled[key]
             row = _measured(program, setting.accuracy, QUICK_REPEATS if quick else REPEATS, reference, usable)
             row["compile_time"] = compile_time
         outcome = row["remark"]
@@ -307,7 +284,7 @@ _LOOKS = {
 }
 
 
-def work_precision(ds: xr.Dataset) -> Picture:
+def work_precision(ds: xr.Dataset) -> Sheet:
     """Draw the worst error over the time per lane-second, both logarithmic, in one panel per scene.
 
     A whisker goes down from each setting's marker to the median lane's error. The Pareto front is in the background.

@@ -27,16 +27,7 @@ from vibrojax.settings.fields import given, setting
 from vibrojax.settings.toml import read_source
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
-from vibrojax.studies.effects_sampling import (
-    CONFIDENCE,
-    REASONS,
-    RULES,
-    SHARE,
-    Sampling,
-    factorial_signs,
-    indices,
-    values_of,
-)
+from vibrojax.studies.effects_sampling import CONFIDENCE, REASONS, RULES, SHARE, Sampling, indices, values_of
 from vibrojax.studies.subjects import FileAnalysis
 
 MIN_SHARE = 0.05  # share of the variance below which a parameter or a pair counts as unimportant
@@ -325,7 +316,7 @@ class Studies(FileAnalysis[Study]):
             "parameter_unit": ("parameter", [x["units"] for x in parameters]),
             "parameter_long_name": ("parameter", [x["long_name"] for x in parameters]),
         }
-        corners = len(factorial_signs(len(sampling.bounds)))
+        corners = lanes.sizes["point"] - sobol
         fraction = "full" if corners == 2 ** len(sampling.bounds) else "fraction of resolution V"
         return self.dataset(
             {name: table[name] for name in STUDY_VARIABLES if name in table},

@@ -22,22 +22,7 @@ from vibrojax.pictures.colours import form_colour, value_axis, value_of
 from vibrojax.pictures.contents import FORM, POINT, law_in, named_groups
 from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets, is_narrow, stacked
 from vibrojax.pictures.lines import Series, curves, longest_axis, row_per_facet, value_lines
-from vibrojax.pictures.plots import (
-    FAINT,
-    Area,
-    Axis,
-    Dash,
-    Key,
-    Layer,
-    Line,
-    Look,
-    Plot,
-    Sheet,
-    bars,
-    dots,
-    key,
-    upright,
-)
+from vibrojax.pictures.plots import FAINT, Area, Axis, Key, Layer, Line, Look, Plot, Sheet, bars, dots, key, upright
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, FORMULAS, LOGARITHMIC, SAME_AS_ONSET, Standing
@@ -52,7 +37,7 @@ _KEPT = ("undecided", "contains-chosen", "chosen")
 
 # The power law often coincides with the straight line, the literal form with the onset form: dashed and on top, they
 # leave the colour of the other form visible.
-_DASHES: dict[str, Dash] = {"power": (0.0, (2.5, 2.0)), "literal": (0.0, (1.5, 2.5))}
+_DASHES: dict[str, Any] = {"power": (0.0, (2.5, 2.0)), "literal": (0.0, (1.5, 2.5))}
 _USES: dict[str, tuple[str, Look]] = {
     "fitted": ("data", {"edge_width": 0.0}),
     "censored": ("no penetration (censored)", {"face": "white", "edge_width": 0.9}),
