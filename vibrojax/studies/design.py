@@ -301,14 +301,11 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     **Returns:** a dataset along `candidate`, in which the best candidate comes first:
 
-    - For each candidate: the varied parameters. `objective` is the maximised variable at the nominal point, from the
-      worst start. `objective_worst`, by which robust designs are ranked, is the worst objective over the tolerance box.
-      Each variable NAME in `subject` has its nominal value in `NAME`, and its worst value over the samples in
-      `NAME_worst`. `feasible` is 1 if all samples meet all requirements.
-    - `gradient` along `parameter`: derivative of the objective with respect to each parameter.
-    - Variables along `front`, if the design has the entry `front`: `front_limit` (the limit that is varied),
-      `front_objective` (the best value within this limit) and the varied parameters.
-    - Variables along `map`: the points and values of the coarse map, where the search begins.
+    - For each candidate: the parameters; `objective`, the maximised variable at the nominal point, worst over the
+      starts; `objective_worst`, by which robust designs are ranked; each variable NAME in `subject`, with its worst
+      value over the samples in `NAME_worst`; and `gradient`, the derivative of the objective by each `parameter`.
+    - Along `front`, if the design has that entry: `front_limit` (the limit that is varied), `front_objective` (the best
+      value within this limit) and the varied parameters. Along `map`: the coarse map, where the search begins.
 
     **Raises:** `InputError` if the design is invalid, if no point is feasible, or if the objective is 0 at all feasible
     points.

@@ -266,11 +266,6 @@ class Visit:
     by: tuple[str, ...]
     orbit_slopes: list[OrbitFeatures]
 
-    def rank(self, objectives: int) -> tuple[float, float]:
-        """Return the key of the order from worst to best: smaller violations, then a greater least objective."""
-        excess = float(self.rows[objectives:].min(initial=0.0)) + INSIDE / 2
-        return min(excess, 0.0), float(self.rows[:objectives].min())
-
 
 class BoxOrbits:
     """The periodic orbits of a point's motions over the box, as functions of the point.
@@ -290,10 +285,10 @@ class BoxOrbits:
         ]  # fmt: skip
         self.box = seed.offsets[sound]
         self.objectives = len(seed.motions) * (len(sound) if spec.robust else 1)
-        self.impacts: list[float] | None = None
         self.optima: list[Unit] = []
-        first = self._visit(seed.unit, [orbits_at(seed, start, sound) for start in seed.motions])
-        self.visits = [] if first is None else [first]
+        self.visits: list[Visit] = []
+        with suppress(LostOrbit):
+            self._visit(seed.unit, [orbits_at(seed, start, sound) for start in seed.motions])
 
     def at(self, unit: Unit) -> Visit:
         """Return the orbits at a point, carried from the nearest point visited; raise `LostOrbit` without them."""
@@ -305,15 +300,12 @@ class BoxOrbits:
             orbits.carry_to(parameters, within=ORBIT_REACH, least=LEAST_STEP, by=near.by, slopes=slopes)
             for orbits, slopes in zip(near.orbits, near.orbit_slopes, strict=True)
         ]
-        arrived = all(arrived.all() for _, arrived in carried)
-        visit = self._visit(unit, [orbits for orbits, _ in carried]) if arrived else None
-        if visit is None:
+        if not all(arrived.all() for _, arrived in carried):
             raise LostOrbit
-        self.visits.append(visit)
-        return visit
+        return self._visit(unit, [orbits for orbits, _ in carried])
 
-    def _visit(self, unit: Unit, orbits: list[Orbits]) -> Visit | None:
-        """Return the rows of a point from its orbits; None if these lack a value or are not of the same kind."""
+    def _visit(self, unit: Unit, orbits: list[Orbits]) -> Visit:
+        """Return the rows of a point from its orbits, which must have all values and be of the same kind."""
         spec = self.spec
         _, chain = spec.parameters(np.repeat(unit[None], len(self.box), axis=0), self.box)
         jacobian = np.stack([*chain.values()], axis=1)
@@ -322,7 +314,7 @@ class BoxOrbits:
             features = batch.derivatives(self.of, tuple(chain))
             values, gradients = features.values, features.derivatives @ jacobian
             if not (np.isfinite(values).all() and np.isfinite(gradients).all() and np.ptp(batch.impacts) == 0):
-                return None
+                raise LostOrbit
             orbit_slopes.append(features)
             table = dict(zip(spec.names, zip(values.T, gradients.transpose(1, 0, 2), strict=True), strict=False))
             value, slope = table[spec.maximise]
@@ -332,12 +324,12 @@ class BoxOrbits:
             for c in spec.constraints:
                 value, slope = table[c.variable]
                 limits.append((c.slack(value) - INSIDE, c.sign * slope / c.scale))
-        impacts = [float(batch.impacts[0]) for batch in orbits]
-        if self.impacts is not None and impacts != self.impacts:
-            return None
-        self.impacts = impacts
+        first = self.visits[0].orbits if self.visits else orbits
+        if any(batch.impacts[0] != other.impacts[0] for batch, other in zip(orbits, first, strict=True)):
+            raise LostOrbit
         rows, slopes = (np.concatenate([pair[k] for pair in (*objectives, *limits)]) for k in range(2))
-        return Visit(unit.copy(), rows, slopes, orbits, tuple(chain), orbit_slopes)
+        self.visits.append(Visit(unit.copy(), rows, slopes, orbits, tuple(chain), orbit_slopes))
+        return self.visits[-1]
 
     def climb(self, known: Sequence[Unit]) -> list[Unit]:
         """Return points on the way to the optimum of the orbits, by SLSQP; it ends near points that are `known`.
@@ -346,6 +338,11 @@ class BoxOrbits:
         The limits hold for each motion and sample. No motion has to settle here.
         """
         count, objectives = len(self.spec.bounds), self.objectives
+
+        def merit(visit: Visit) -> tuple[float, float]:  # smaller violations, then a greater least objective
+            excess = float(visit.rows[objectives:].min(initial=0.0)) + INSIDE / 2
+            return min(excess, 0.0), float(visit.rows[:objectives].min())
+
         is_objective = 1.0 * (np.arange(len(self.visits[0].rows)) < objectives)
         limits: dict[str, Any] = {
             "type": "ineq",
@@ -364,7 +361,7 @@ class BoxOrbits:
                     options={"maxiter": SLSQP_MAX_ITERATIONS, "ftol": 1e-9},
                 )  # fmt: skip
                 done = bool(end.success) and float(np.abs(end.x[:count] - now.unit).max()) < 0.99 * radius
-            best = max(self.visits, key=lambda visit: visit.rank(objectives))
+            best = max(self.visits, key=merit)
             moved = float(np.abs(best.unit - now.unit).max())
             path += [best] * (best is not now)
             self.optima += [best.unit] * done

@@ -238,19 +238,11 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
       - `samples`: number of base samples, a power of two; default 256. `seed`: default 0.
 
     **Returns:** a dataset with the dimensions `of` (the variable), `parameter`, and `other` (the second parameter of a
-    pair).
-
-    - `first_order`: share of the variance that a parameter causes alone. `total_order`: share that a parameter causes
-      alone and in interactions. `second_order`: share that the interaction of two parameters causes. Names with the
-      ending `_conf` are half-widths of 95 % confidence intervals.
-    - `effect`: mean of the variable at the high level of a parameter minus the mean at the low level. `interaction`:
-      half the difference between the effects of a parameter at the high and at the low level of another parameter.
-    - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of
-      lanes with a single impact; `regime_share`: share of lanes in each regime.
-    - `set_to_zero`: number of lanes without impacts that count as 0. `averaged`: number of irregular lanes that count
-      with mean values. `left_out`, `corners_left_out`: numbers of base samples and corners that are left out. The
-      attribute `rules` states which lanes are left out or count as 0. `sobol_reason`: reason why the dataset lacks
-      Sobol indices.
+    pair). `first_order`, `total_order` and `second_order` are the shares of the variance that a parameter causes alone,
+    that it causes alone and in interactions, and that a pair causes, with half-widths of 95 % confidence intervals
+    (`_conf`). `effect` is the mean of the variable at the high level of a parameter minus that at the low level, and
+    `interaction` half the difference of an effect between both levels of another parameter. The attribute `rules` says
+    which lanes are left out or count as 0; further variables count them.
 
     **Raises:** `InputError` if the study is invalid or SALib is not installed.
 

@@ -81,12 +81,16 @@ def toleranced(ds: xr.Dataset) -> list[str]:
     return [name for name in names if name in ds.coords]
 
 
+def _along_starts(ds: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
+    """Return a dataset along starts, and their names, of which there is none if the scene has no starts."""
+    lanes = ds if "start" in ds.dims else ds.expand_dims("start")
+    return lanes, [str(name) for name in lanes["start"].values] if "start" in lanes.coords else [""]
+
+
 def extremes_picture(ds: xr.Dataset) -> Sheet:
     """Draw impact velocity, energy and rate of penetration of all samples over each parameter with a tolerance."""
-    names = toleranced(ds)
+    names, (lanes, starts) = toleranced(ds), _along_starts(ds)
     rows = [name for name in _DRAWN if name in ds and ds[name].notnull().any()] or ["period"]
-    lanes = ds if "start" in ds.dims else ds.expand_dims("start")
-    starts = [str(name) for name in np.atleast_1d(lanes["start"].values)] if "start" in lanes.coords else [""]
     edge: Look = {"edge": "#4D4D4D", "edge_width": 0.4}
     plots = []
     for row, quantity in enumerate(rows):
@@ -197,17 +201,11 @@ def tolerance(
       `stuck`, as in a sweep.
     - `run`: settings of the simulation, as in the table `[run]` of a sweep file.
 
-    **Returns:** a dataset.
-
-    - For each sample and start: the variables of a sweep. Variables along `sample`: the parameters, and `place`, the
-      position of the sample in the tolerance box (nominal, corner, edge, interior or refined). Sample 0 is the nominal
-      point.
-    - Variables along `start`: the extremes `NAME_least` and `NAME_most` of period, impact velocity and other variables
-      over the samples, and the indices `NAME_least_sample` and `NAME_most_sample` of the samples with the extremes (-1
-      if there is none).
-    - `regime_share`: share of samples in each regime; `regime_kept`: share of samples in the regime of the nominal
-      point; `irregular_share`: share of irregular, undecided or failed samples. Shares leave out *refined* samples,
-      which the search for extremes adds.
+    **Returns:** a dataset with the variables of a sweep for each sample and start. Along `sample` are parameters and
+    `place`, the position of the sample in the box; sample 0 is the nominal point. Along `start` are the extremes
+    `NAME_least` and `NAME_most` of period, impact velocity and other variables, with the numbers of their samples
+    (`NAME_least_sample`, -1 if there is none), and the shares `regime_share`, `regime_kept` (samples in the regime of
+    the nominal point) and `irregular_share`. Shares leave out the refined samples.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
 
@@ -310,8 +308,7 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
             return None
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        lanes = ds if "start" in ds.dims else ds.expand_dims("start")
-        starts = [str(start) for start in lanes["start"].values] if "start" in lanes.coords else [""]
+        lanes, starts = _along_starts(ds)
         shares = lanes["irregular_share"].values if "irregular_share" in lanes else np.zeros(1)
         facts, lines = {}, list[str]()
         if (shares > 0).any():
