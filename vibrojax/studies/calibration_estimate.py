@@ -6,7 +6,7 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from vibrojax.errors import InputError, counted
+from vibrojax.errors import Place, counted
 from vibrojax.io.variables import Variable
 from vibrojax.studies.calibration_model import ORBIT_ERROR, TOLERANCE, Fit, Model, Problem, best_along_step
 
@@ -31,7 +31,7 @@ LARGEST_FALL = 0.1
 """Variances by which the sum of squares of a history may fall along a step, where its minimum is at a kink: the
 estimate is then within a third of a standard error of it."""
 
-_OF, _PARAMETER = ("observation", "of"), ("parameter",)
+_OF, _PARAMETER, _COMBINATION = ("observation", "of"), ("parameter",), ("combination",)
 
 CALIBRATION_VARIABLES = {
     "estimate": Variable("", "estimate, in the parameter's own unit", dims=_PARAMETER),
@@ -42,10 +42,8 @@ CALIBRATION_VARIABLES = {
     "high": Variable("", "upper bound, in the parameter's own unit", dims=_PARAMETER),
     "reason": Variable("1", "whether the data determine the parameter", np.int8, REASONS, dims=_PARAMETER),
     "correlation": Variable("1", "correlation of two estimates", dims=("parameter", "other")),
-    "direction": Variable("1", "exponent of the parameter in a combination", dims=("combination", "parameter")),
-    "direction_error": Variable(
-        "1", "relative standard error of a combination, best known first", dims=("combination",)
-    ),
+    "direction": Variable("1", "exponent of the parameter in a combination", dims=_COMBINATION + _PARAMETER),
+    "direction_error": Variable("1", "relative standard error of a combination, best known first", dims=_COMBINATION),
     "posterior": Variable("", "draws of the posterior, in the parameter's own unit", dims=("draw", "parameter")),
     "observed": Variable("", "observation, in the variable's own unit", dims=_OF),
     "predicted": Variable("", "value of the orbit at the estimate, in the variable's own unit", dims=_OF),
@@ -83,14 +81,11 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
     if far and (history is None or best_along_step(problem, model, target, theta)[1] > LARGEST_FALL * variance):
         where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(problem.names, theta, strict=True))
         others = "give other bounds, another start, more searches, or leave out observations of other motions"
-        if beyond.any():
-            names = ", ".join(name for name, at_bound in zip(problem.names, beyond, strict=True) if at_bound)
+        if names := ", ".join(name for name, at_bound in zip(problem.names, beyond, strict=True) if at_bound):
             others = f"{names}: at-bound, the data suggest values beyond; widen the bounds, or examine the model"
-        raise InputError(
-            f"{file}: no search has reached a minimum of the residuals; the best one ended at "
-            f"{where}, where {target.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit; "
-            f"{others}"
-        )
+        where += f", where {target.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit"
+        fault = f"no search has reached a minimum of the residuals; the best one ended at {where}; {others}"
+        raise Place(file).error(fault)
     # Unknown states follow the parameters: what they cannot compensate determines the parameters.
     along = jacobian[:, count:]
     follow = -np.linalg.pinv(along) @ jacobian[:, :count]
@@ -111,11 +106,9 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
     posterior = moved(steps)
     reason = np.where(width < VAGUE, REASONS.index("identified"), REASONS.index("confounded"))
     reason = np.where(beyond[:count], REASONS.index("at-bound"), reason)
-    nonlinearity = np.nan
-    if not reason.any():
-        checked = posterior[:CHECKED_DRAWS]
-        thetas = np.hstack([checked, theta[count:] + (checked - estimate) @ follow.T])
-        nonlinearity = _nonlinearity(model, fit, jacobian, thetas)
+    checked = posterior[:CHECKED_DRAWS]
+    thetas = np.hstack([checked, theta[count:] + (checked - estimate) @ follow.T])
+    nonlinearity = np.nan if reason.any() else _nonlinearity(model, fit, jacobian, thetas)
     inside = np.where(beyond[:count], np.nan, 1.0)  # at a bound, the normal approximation gives no interval
     covered = 0.5 + INTERVAL / 2
     quantile = scipy.stats.norm.ppf(covered) if given else scipy.stats.t.ppf(covered, freedom)

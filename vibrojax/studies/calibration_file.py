@@ -1,6 +1,6 @@
 """The file of a calibration: observations of orbits and a recorded velocity, unknowns, errors and priors."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -34,6 +34,8 @@ from vibrojax.studies.calibration_model import CONSTANT, RATE, RELIEF, Problem
 LAW = Parameter(
     CONSTANT, 1e-3, "m s-1", "coefficient of the law, rate = C ln(P/D)", CONSTANT, lowest=0.0, open_below=True
 )
+
+Columns = dict[str, np.ndarray]
 
 MAX_OBSERVATIONS = 10_000
 """Largest number of rows. Each is an orbit that is solved at every step of the search."""
@@ -100,9 +102,9 @@ def read_calibration(
     """
     recorded: dict[str, Any] = {}
     if isinstance(source, Mapping):
-        kinds = {key: source[key] for key in ("data", "history") if key in source}
-        recorded = {key: value for key, value in kinds.items() if not isinstance(value, (str, PathLike))}
-        source = {key: value for key, value in source.items() if key not in recorded}
+        of_data = {key: x for key, x in source.items() if key in ("data", "history")}
+        recorded = {key: x for key, x in of_data.items() if not isinstance(x, (str, PathLike))}
+        source = {key: x for key, x in source.items() if key not in recorded}
     origin = read_source(source, "calibration")
     file, place, names = read_file(CalibrationFile, replace(origin, tables=origin.tables | recorded))
     unknown, fixed, folder = as_table(place.at("unknown"), file.unknown or {}), dict(file.parameters), origin.folder
@@ -151,45 +153,41 @@ def read_calibration(
     for name, pair in file.prior.items():
         here, k = place.at("prior").at(name), [*bounds].index(choice(place.at("prior"), name, tuple(bounds)))
         mean[k], width[k] = read_pair(here, pair, "a mean and a standard deviation; write [0.4, 0.05]")
-        if not bounds[name][0] <= mean[k] <= bounds[name][1]:
+        low, high = bounds[name]
+        if not low <= mean[k] <= high:
             unit = {**names.writable, CONSTANT: LAW}[name].unit
-            unit = UNITS.get(unit, (unit,))[0]
-            value, end = (f"{x:.6g} {unit}".removesuffix(" 1") for x in (mean[k], bounds[name][1]))
-            fault = f"the mean {value} is outside the bounds, {bounds[name][0]:.6g} to {end}"
+            value, end = (f"{x:.6g} {UNITS.get(unit, (unit,))[0]}".removesuffix(" 1") for x in (mean[k], high))
+            fault = f"the mean {value} is outside the bounds, {low:.6g} to {end}"
             raise here.error(f"{fault}; correct its unit, or widen [unknown]")
         if not width[k] > 0:
             raise here.error(f"{width[k]:g} is not a standard deviation; it must be above 0")
     if file.prior and not errors:
         raise place.at("prior").error("has no weight without standard errors of the observations; give [error]")
-    low, high = np.array([*bounds.values()]).T
+    least, most = np.array([*bounds.values()]).T
     if history is not None:
         none, count = np.zeros(len(history.states)), len(labels)
-        low, high = np.append(low, -history.bound), np.append(high, history.bound)
+        least, most = np.append(least, -history.bound), np.append(most, history.bound)
         mean, width = np.append(mean, none), np.append(width, none + np.inf)
         labels = np.append(labels, labels.max(initial=-1) + 1 + np.arange(len(history.times)))
         pads = {name: (count, 0) if name == VELOCITY else (0, len(history.times)) for name in observed}
-        observed = {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in observed.items()}
-        errors = {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in errors.items()}
-    states = () if history is None else history.states
+        observed, errors = (
+            {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in table.items()}
+            for table in (observed, errors)
+        )
+    unknowns = (*bounds, *(() if history is None else history.states))
     values = np.stack([*observed.values()], axis=1)
     known = np.stack([errors[name] for name in observed], axis=1) if errors else None
     problem = Problem(
-        point, history, (*bounds, *states), low, high, mean, width, conditions, (*observed,), values, known,
-        labels, file.seed,
-    )  # fmt: skip
+        point, history, unknowns, least, most, mean, width, conditions, (*observed,), values, known, labels, file.seed
+    )
     if fault := problem.shortage(np.ones(len(labels), bool)):
         raise home.error(fault)
     return Calibration(file, origin, problem)
 
 
 def _read_rows(
-    place: Place,
-    file: CalibrationFile,
-    folder: Path,
-    names: Names,
-    variables: Sequence[str],
-    unknown: Mapping[str, object],
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray, Place]:
+    place: Place, file: CalibrationFile, folder: Path, names: Names, variables: list[str], unknown: Mapping[str, object]
+) -> tuple[Columns, Columns, Columns, np.ndarray, Place]:
     """Return operating conditions, observations and standard errors of the rows, their numbers, and their place.
 
     A rotation speed and a radius are conditions too.
@@ -228,9 +226,7 @@ def _read_rows(
     return conditions, observed, errors, labels, place
 
 
-def _read_errors(
-    place: Place, table: Mapping[str, object], observed: Mapping[str, np.ndarray], columns: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
+def _read_errors(place: Place, table: Mapping[str, object], observed: Columns, columns: Columns) -> Columns:
     """Return the standard error of each observation; none if neither the `columns` nor the `table` give any."""
     for name in table:
         choice(place, name, tuple(observed))
@@ -246,12 +242,7 @@ def _read_errors(
 
 
 def _read_history(
-    place: Place,
-    file: CalibrationFile,
-    names: Names,
-    conditions: Collection[str],
-    folder: Path,
-    columns: Mapping[str, str],
+    place: Place, file: CalibrationFile, names: Names, conditions: list[str], folder: Path, columns: Mapping[str, str]
 ) -> History:
     """Return the recorded velocity, the point at which it was recorded, and the state at its first sample."""
     system, value = names.system, file.history
@@ -294,20 +285,14 @@ def _read_history(
             likely = likely_units(step, "s", (0.0, period / 2))
             advice = next((f'if it is in {unit}, write "time ({unit})"' for unit in likely), "give more samples")
             raise home.at("time").error(f"{fault}; {advice}")
-    return History(
-        point=point,
-        begin=float(time[0]),
-        times=time - time[0],
-        velocity=velocity,
-        states=tuple(state.name for state in states),
-        guess=np.array(guess),
-        bound=np.array([speed if state.is_velocity else speed * np.ptp(time) for state in states]),
-    )
+    bound = np.array([speed if state.is_velocity else speed * np.ptp(time) for state in states])
+    unknown = tuple(state.name for state in states)
+    return History(point, float(time[0]), time - time[0], velocity, unknown, np.array(guess), bound)
 
 
 def _read_table(
     place: Place, data: Any, folder: Path, units: Mapping[str, str], chosen: Mapping[str, str] | None = None
-) -> tuple[dict[str, np.ndarray], np.ndarray, Place]:
+) -> tuple[Columns, np.ndarray, Place]:
     """Return the columns of a file, dataset or table, the number of each row (in a text file, its line), and its place.
 
     `units`: SI units by quantity, to which the columns are converted. `chosen`: columns, by quantity, whose names
