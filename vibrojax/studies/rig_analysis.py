@@ -23,12 +23,9 @@ from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.analysis import Source as AnalysisSource
 from vibrojax.studies.rop_group import LEAST_CLEANED, Founder, clean
 
-WINDOW = 30.0
-"""Length [s] of the windows of the stick-slip index from torque: several periods of a drill string's torsion."""
-
-SLOWEST_SAMPLING = 2.0
-"""Longest time [s] between rows for that index. Rarer rows miss the torque's extremes within a period."""
-
+# The stick-slip index of torque has windows of several periods of a drill string's torsion. Rows farther apart miss the
+# torque's extremes within a period.
+WINDOW, SLOWEST_SAMPLING = 30.0, 2.0  # s
 MOST_FORMATIONS = 20  # greatest number of texts in a column that are taken for names of formations or bits
 
 _NO_FOUNDER = {
@@ -56,22 +53,14 @@ SCHEMA = {
 TRACKS = (RATE, WEIGHT, ROTATION_SPEED, "torque", *_NEEDED, "stick_slip_index")
 """Variables that are drawn over depth, as far as the log has them."""
 
-_DRILLERS = {
-    "m s-1": (3600.0, "m/h"),
-    "rad s-1": (30 / np.pi, "rpm"),
-    "N": (1e-3, "kN"),
-    "N m": (1e-3, "kN m"),
-    "J m-3": (1e-6, "MPa"),
-    "Pa": (1e-6, "MPa"),
-}
+_DRILLERS = {"m s-1": (3600.0, "m/h"), "rad s-1": (30 / np.pi, "rpm"), "N": (1e-3, "kN"), "N m": (1e-3, "kN m")}
+_DRILLERS |= {"J m-3": (1e-6, "MPa"), "Pa": (1e-6, "MPa")}
 """Factor and name of the units of drillers, by SI unit."""
 
 UNITS = ("driller", "si")
 _WIDTH_OF_PAGE = 7.5  # [inch] up to which the tracks are below the founder point
 _TITLE_LETTERS = 18  # of a line above a track
-_TRIM = (2.0, 98.0)
-"""Percentiles between which most values lie. Values further away than these differ are not drawn, but counted."""
-
+_TRIM = (2.0, 98.0)  # percentiles: values further away than these differ are not drawn, but counted
 _LOG_SPAN = 30.0  # ratio of the largest to the least energy from which its axis is logarithmic
 
 Rows = Float[np.ndarray, " rows"]
@@ -94,9 +83,7 @@ def rig(
     specific energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per second.
 
     The founder point is the weight on the bit above which the rate of penetration does not rise; see
-    [vibrojax.fit_rop][].
-
-    The variable `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque.
+    [vibrojax.fit_rop][]. The variable `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque.
 
     **Arguments:** `source`, `columns`, `where`, `nulls`: as for [vibrojax.read_log][]; `units`: units of pictures and
     summaries, "driller" (m/h, rpm, kN, MPa) or "si". The dataset is in SI units.

@@ -20,7 +20,6 @@ import xarray as xr
 from vibrojax.errors import InputError, Place, counted, nearest, shell_assignment, shown, suggestion
 from vibrojax.io import log_columns as known
 from vibrojax.io.attributes import title_of
-from vibrojax.io.dataset import open_dataset
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.log_columns import FORCE, KNOWN, LINE, RATE, RELIEF, THRESHOLD, WEIGHT
 from vibrojax.io.riglog import Nulls, Where, log_lines, read_log, to_dataset
@@ -227,6 +226,8 @@ def _read(data: Data, columns: Columns, where: Where, nulls: Nulls) -> tuple[Pla
     if where or nulls:
         fault = f"`{'where' if where else 'nulls'}` is for a rig log"
         raise place.error(f"{fault}; select lanes of a dataset by its method sel")
+    from vibrojax.io.dataset import open_dataset  # a log needs no netCDF
+
     return place, data if isinstance(data, xr.Dataset) else open_dataset(Path(str(data)))
 
 
