@@ -187,7 +187,7 @@ class Calibrations(FileAnalysis[Calibration]):
                 fits.append((fit_from(problem, model, theta), model))
                 bar.add(1)
             fit, model = min(fits, key=lambda pair: pair[0].score)
-            used = fit.target.used
+            used = fit.used
             if fault := problem.shortage(used):
                 orbits = f"{used.sum()} of {counted(len(used), 'observation')} {'has' if used.sum() == 1 else 'have'}"
                 why = f"{orbits} an orbit of one kind inside the bounds: {fault}"

@@ -63,8 +63,8 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
 
     **Raises:** `InputError` if the fit has not reached a minimum.
     """
-    theta, prediction, target, cost, freedom, _ = fit
-    residuals, jacobian = target.residuals(prediction, theta), target.jacobian(prediction)
+    theta, prediction, weight, cost, freedom, _ = fit
+    residuals, jacobian = problem.residuals(weight, prediction, theta), problem.jacobian(weight, prediction)
     given, count, history = problem.errors is not None, problem.parameters, problem.history
     low, high, estimate = problem.low[:count], problem.high[:count], theta[:count]
     variance = 1.0 if given else max(cost / freedom, ORBIT_ERROR**2)
@@ -78,12 +78,12 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
         free = jacobian * ~beyond
     offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
     far = offset > LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
-    if far and (history is None or best_along_step(problem, model, target, theta)[1] > LARGEST_FALL * variance):
+    if far and (history is None or best_along_step(problem, model, weight, theta)[1] > LARGEST_FALL * variance):
         where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(problem.names, theta, strict=True))
         others = "give other bounds, another start, more searches, or leave out observations of other motions"
         if names := ", ".join(name for name, at_bound in zip(problem.names, beyond, strict=True) if at_bound):
             others = f"{names}: at-bound, the data suggest values beyond; widen the bounds, or examine the model"
-        where += f", where {target.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit"
+        where += f", where {fit.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit"
         fault = f"no search has reached a minimum of the residuals; the best one ended at {where}; {others}"
         raise Place(file).error(fault)
     # Unknown states follow the parameters: what they cannot compensate determines the parameters.
@@ -108,7 +108,7 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
     reason = np.where(beyond[:count], REASONS.index("at-bound"), reason)
     checked = posterior[:CHECKED_DRAWS]
     thetas = np.hstack([checked, theta[count:] + (checked - estimate) @ follow.T])
-    nonlinearity = np.nan if reason.any() else _nonlinearity(model, fit, jacobian, thetas)
+    nonlinearity = np.nan if reason.any() else _nonlinearity(problem, model, fit, jacobian, thetas)
     inside = np.where(beyond[:count], np.nan, 1.0)  # at a bound, the normal approximation gives no interval
     covered = 0.5 + INTERVAL / 2
     quantile = scipy.stats.norm.ppf(covered) if given else scipy.stats.t.ppf(covered, freedom)
@@ -130,8 +130,8 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
         "posterior": posterior,
         "observed": problem.values,
         "predicted": predicted,
-        "residual": np.where(target.weight > 0, (prediction.values - problem.values) / error, np.nan),
-        "used": target.used,
+        "residual": np.where(weight > 0, (prediction.values - problem.values) / error, np.nan),
+        "used": fit.used,
         "chi_squared": cost / variance,
         "freedom": freedom,
         "noise": noise,
@@ -157,15 +157,15 @@ def _uncertainty(
     return (vectors * finite**2) @ vectors.T, (vectors * signs).T, errors
 
 
-def _nonlinearity(model: Model, fit: Fit, jacobian: np.ndarray, draws: np.ndarray) -> float:
+def _nonlinearity(problem: Problem, model: Model, fit: Fit, jacobian: np.ndarray, draws: np.ndarray) -> float:
     """Return the error of the linear prediction at draws of the posterior, relative to the spread of the prediction."""
-    rows, width = slice(0, fit.target.values.size), fit.target.values.shape[1]
-    centre = fit.target.residuals(fit.prediction, fit.theta)
+    rows, width = slice(0, fit.weight.size), fit.weight.shape[1]
+    centre = problem.residuals(fit.weight, fit.prediction, fit.theta)
     off, spread = [], []
     for draw, prediction in zip(draws, model.predict_all(draws), strict=True):
         valid = np.repeat(prediction.valid, width)
         linear = jacobian @ (draw - fit.theta)
-        off.append((fit.target.residuals(prediction, draw) - centre - linear)[rows][valid])
+        off.append((problem.residuals(fit.weight, prediction, draw) - centre - linear)[rows][valid])
         spread.append(linear[rows][valid])
     total = np.sum(np.concatenate(spread) ** 2)
     return float(np.sqrt(np.sum(np.concatenate(off) ** 2) / total)) if total > 0 else np.nan
