@@ -103,15 +103,9 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     missing = {name: 0 if variable.dtype is np.int32 else np.nan for name, variable in _VARIABLES.items()}
     columns = {name: (SETTING, [row.get(name, x) for row in rows]) for name, x in missing.items()}
     coordinates = {name: columns.pop(name) for name in Setting._fields}
-    return AccuracyStudy().dataset(
-        columns,
-        coordinates,
-        title="Speed against error",
-        reference=REFERENCE_TEXT,
-        settings=programs.SETTINGS_TEXT,
-        machine=json.dumps(machine()),
-        wall_time_s=time.monotonic() - began,
-    )
+    about: dict[str, Any] = {"reference": REFERENCE_TEXT, "settings": programs.SETTINGS_TEXT}
+    about |= {"machine": json.dumps(machine()), "wall_time_s": time.monotonic() - began}
+    return AccuracyStudy().dataset(columns, coordinates, title="Speed against error", **about)
 
 
 def _measured_scene(scene: str, quick: bool, bar: Progress) -> list[dict[str, Any]]:
@@ -167,17 +161,11 @@ def _measured(
     status, error = compared(features, expected)
     agrees, times = status == 0, np.array(seconds) / (program.sweep.lanes * (program.settle + program.observe))
     lanes, counts = counted(len(status), "lane"), np.bincount(status, minlength=len(STATUSES))
-    row: dict[str, Any] = {
-        "time_per_lane_second": np.median(times),
-        "time_per_lane_second_min": times.min(),
-        "time_per_lane_second_max": times.max(),
-        "lanes": len(status),
-        "agreeing": agrees.sum(),
-        "status": 0 if agrees.all() else status[~agrees].min(),
-        "remark": "; ".join(
-            f"{n} of {lanes} {why}" for n, why in zip(counts, STATUSES.values(), strict=True) if n and why
-        ),
-    }
+    remarks = [f"{n} of {lanes} {why}" for n, why in zip(counts, STATUSES.values(), strict=True) if n and why]
+    row: dict[str, Any] = {"lanes": len(status), "agreeing": agrees.sum(), "remark": "; ".join(remarks)}
+    row["status"] = 0 if agrees.all() else status[~agrees].min()
+    for end, of in (("", np.median), ("_min", np.min), ("_max", np.max)):
+        row[f"time_per_lane_second{end}"] = of(times)
     known = {"error_worst": error[agrees].max(), "error_median": np.median(error[agrees])} if agrees.any() else {}
     return row | known
 
@@ -195,9 +183,7 @@ def compared(features: Features, reference: Features) -> tuple[Int[np.ndarray, "
         error = reduce(np.fmax, [np.where(x == 0, 0.0, x / size) for x, size in pairs])
     other = ~(error < OTHER_MOTION_ERROR)
     if "impacts" in reference:
-        impacts, expected = (
-            np.asarray(x["impacts"], float) / np.maximum(x["cycles"], 1) for x in (features, reference)
-        )
+        impacts, expected = (np.array(x["impacts"], float) / np.maximum(x["cycles"], 1) for x in (features, reference))
         other |= ~(np.abs(impacts - expected) <= 0.05 * np.maximum(expected, 1))
     return np.select([~features["finite"], ~features["finished"], other], [1, 2, 3], 0), error
 
@@ -251,10 +237,8 @@ def table(ds: xr.Dataset) -> str:
         }
         cells["setting"] = cells["setting"].where(here["on_front"] == 0, "**" + cells["setting"] + "**")
         rule = ["---" if header in ("method", "precision", "setting", "remark") else "---:" for header in cells]
-        rows = [
-            re.sub(r"(± )?\bnan\b", "–", f"| {' | '.join(row)} |")
-            for row in (cells, *zip(*cells.values(), strict=True))
-        ]
+        texts = [f"| {' | '.join(row)} |" for row in (cells, *zip(*cells.values(), strict=True))]
+        rows = [re.sub(r"(± )?\bnan\b", "–", text) for text in texts]
         spread = here["reference_spread"].iloc[0]
         paragraphs += [
             f"## {scene}",
@@ -298,10 +282,8 @@ def work_precision(ds: xr.Dataset) -> Sheet:
     known = ds.isel({SETTING: ds["error_worst"].values > 0})
     times, errors = (0.1, 1.0), (0.1, 1.0)
     if known.sizes[SETTING]:
-        (fastest, slowest), worst = (
-            (known[f"time_per_lane_second_{end}"] for end in ("min", "max")),
-            known["error_worst"],
-        )
+        fastest, slowest = (known[f"time_per_lane_second_{end}"] for end in ("min", "max"))
+        worst = known["error_worst"]
         times = float(fastest.min()) / 1.2, float(slowest.max()) * 1.2
         errors = float(worst.min()) / 5, float(worst.max()) * 5
     across = Axis("time per simulated lane-second [µs]", limits=times, log=True, group="time")

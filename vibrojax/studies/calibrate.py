@@ -232,17 +232,11 @@ class Calibrations(FileAnalysis[Calibration]):
             coords["state_unit"] = ("state", [system.states[system.place(name)].unit for name in history.states])
             meaning = {"long_name": "state at the first sample of the history, in its own unit"}
             table["first_state"] = ("state", fit.theta[count:], meaning)
-        symbols = ", ".join(parameters[name].symbol for name in names)
-        kind = "given" if given else "relative" if history is None else "history"
-        return self.dataset(
-            table,
-            coords,
-            title=str(spec.file.title or f"Calibration of {symbols}"),
-            scene=problem.point.scene,
-            specification=spec.origin.text,
-            searches=spec.file.searches,
-            error_model=ERROR_MODELS[kind].format(freedom=freedom),
-        )
+        title = str(spec.file.title or f"Calibration of {', '.join(parameters[name].symbol for name in names)}")
+        errors = ERROR_MODELS["given" if given else "relative" if history is None else "history"]
+        about: dict[str, Any] = {"scene": problem.point.scene, "specification": spec.origin.text}
+        about |= {"searches": spec.file.searches, "error_model": errors.format(freedom=freedom)}
+        return self.dataset(table, coords, title=title, **about)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         reasons = [flags(ds["reason"])[int(flag)] for flag in ds["reason"].values]

@@ -108,9 +108,8 @@ def _scale(row: xr.Dataset) -> tuple[float, str]:
 
 
 def _why(row: xr.Dataset) -> str:
-    return {"constant": "it is the same everywhere", "too-few-samples": "too few samples have a value"}.get(
-        REASONS[int(row["sobol_reason"])], ""
-    )
+    why = {"constant": "it is the same everywhere", "too-few-samples": "too few samples have a value"}
+    return why.get(REASONS[int(row["sobol_reason"])], "")
 
 
 WIDE = 0.3  # half-width of a confidence interval above which the summary recommends more samples
@@ -123,7 +122,7 @@ NEGLIGIBLE = 1e-3
 
 _OF, _PARAMETER = ("of",), ("of", "parameter")
 _PAIR = ("of", "parameter", "other")
-_KEPT = ("parameters", "parameter_units", "differing", "run", "solver")  # attributes of the lanes
+_KEPT = ("parameters", "parameter_units", "differing", "run", "solver", "lanes")  # attributes of the lanes
 
 RULED = {
     "set_to_zero": ("lane without impacts counts as 0", "lanes without impacts count as 0"),
@@ -212,7 +211,7 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
             raise place.at("of").item(index).error(fault)
     check_distinct(place.at("of"), file.of, "variable")
     sampling = Sampling(bounds, file.samples, file.seed)
-    columns = {name: x.tolist() for name, x in zip(sampling.names, sampling.points().T, strict=True)}
+    columns = {name: x.tolist() for name, x in zip(bounds, sampling.points().T, strict=True)}
     sweep = file.sweep(origin.file, columns, title=file.title or f"Study of {', '.join(file.of)}".replace("_", " "))
     return Study(file.of, sampling, sweep, origin.text)
 
@@ -293,7 +292,8 @@ class Studies(FileAnalysis[Study]):
             rows.append(indices(sampling, values.mean(axis=1)) | counts)
         table: dict[str, Any] = {key: np.array([row[key] for row in rows]) for key in rows[0]}
         table["low"], table["high"] = np.array(list(sampling.bounds.values())).T
-        coords: dict[str, Any] = {"of": spec.of, "parameter": sampling.names, "other": sampling.names}
+        names = list(sampling.bounds)
+        coords: dict[str, Any] = {"of": spec.of, "parameter": names, "other": names}
         sobol = sampling.samples * sampling.group
         if "regime" in lanes:
             regime = lanes["regime"].values.reshape(lanes.sizes["point"], -1)[:sobol]
@@ -301,30 +301,18 @@ class Studies(FileAnalysis[Study]):
             table[SHARE] = (regime == SINGLE_IMPACT).mean()
             coords["label"] = list(REGIMES)
         about = described_variables(sweep) | {SHARE: STUDY_VARIABLES[SHARE]}
-        parameters = [parameter_attributes(sweep, name) for name in sampling.names]
-        coords |= {
-            "of_unit": ("of", [about[name].units for name in spec.of]),
-            "of_long_name": ("of", [about[name].long_name for name in spec.of]),
-            "parameter_unit": ("parameter", [x["units"] for x in parameters]),
-            "parameter_long_name": ("parameter", [x["long_name"] for x in parameters]),
-        }
+        parameters = [parameter_attributes(sweep, name) for name in names]
+        for end, key in (("unit", "units"), ("long_name", "long_name")):
+            coords[f"of_{end}"] = "of", [getattr(about[name], key) for name in spec.of]
+            coords[f"parameter_{end}"] = "parameter", [x[key] for x in parameters]
         corners = lanes.sizes["point"] - sobol
         fraction = "full" if corners == 2 ** len(sampling.bounds) else "fraction of resolution V"
-        return self.dataset(
-            {name: table[name] for name in STUDY_VARIABLES if name in table},
-            coords,
-            title=sweep.title,
-            scene=sweep.scene,
-            **{name: lanes.attrs[name] for name in _KEPT if name in lanes.attrs},
-            study=spec.text,
-            rules=RULES,
-            samples=sampling.samples,
-            seed=sampling.seed,
-            confidence=CONFIDENCE,
-            design=f"{fraction}, {corners} corners",
-            lanes=lanes.attrs["lanes"],
-            sobol_lanes=sobol * lanes.sizes.get("start", 1),
-        )
+        kept: dict[str, Any] = {name: lanes.attrs[name] for name in _KEPT if name in lanes.attrs}
+        kept |= {"study": spec.text, "rules": RULES, "design": f"{fraction}, {corners} corners"}
+        kept |= {"samples": sampling.samples, "seed": sampling.seed, "confidence": CONFIDENCE}
+        kept |= {"sobol_lanes": sobol * lanes.sizes.get("start", 1)}
+        table = {name: table[name] for name in STUDY_VARIABLES if name in table}
+        return self.dataset(table, coords, title=sweep.title, scene=sweep.scene, **kept)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
         facts: dict[str, Any] = {}
@@ -376,20 +364,17 @@ def _sentences(row: xr.Dataset) -> list[str]:
 def _parameter_sentence(row: xr.Dataset, k: int) -> str:
     factor, unit = _scale(row)
     name, long_name = str(row["parameter"].values[k]), str(row["parameter_long_name"].values[k]).split(" (")[0]
-    first, total, error, effect = (
-        float(row[key][k]) for key in ("first_order", "total_order", "total_order_conf", "effect")
-    )
+    keys = ("first_order", "total_order", "total_order_conf", "effect")
+    first, total, error, effect = (float(row[key][k]) for key in keys)
     text = f"{name} ({long_name}) causes {_percent(total).removesuffix(' %')} ± {_percent(error)} of the variation"
     text += f", {_percent(first)} on its own"
     if not np.isfinite(effect):
         return text
     change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()
     change = change if abs(effect) > NEGLIGIBLE * float(row["std"]) else "hardly changes it"
-    ends = xr.DataArray(
-        row[["low", "high"]].to_array()[:, k].values, attrs={"units": str(row["parameter_unit"][k].item())}
-    )
-    factor, unit = scale(ends)
-    span = f"{' to '.join(f'{factor * float(x):.4g}' for x in ends)} {pretty_unit(unit)}".rstrip()
+    ends = [float(row[end][k]) for end in ("low", "high")]
+    factor, unit = scale(xr.DataArray(ends, attrs={"units": str(row["parameter_unit"][k].item())}))
+    span = f"{' to '.join(f'{factor * x:.4g}' for x in ends)} {pretty_unit(unit)}".rstrip()
     text += f"; going from {span} {change} on average"
     if first > MIN_SHARE and abs(effect) < CURVED * np.sqrt(12 * first) * float(row["std"]):
         text += ", but not steadily: values in between differ more"

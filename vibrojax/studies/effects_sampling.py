@@ -61,17 +61,13 @@ class Sampling:
     seed: int = 0
 
     @property
-    def names(self) -> list[str]:
-        return list(self.bounds)
-
-    @property
     def group(self) -> int:
         """Number of consecutive points of the Sobol sample that belong to one base sample: 2 D + 2."""
         return 2 * len(self.bounds) + 2
 
     @property
     def problem(self) -> dict[str, object]:
-        return {"num_vars": len(self.bounds), "names": self.names, "bounds": [list(x) for x in self.bounds.values()]}
+        return {"num_vars": len(self.bounds), "names": [*self.bounds], "bounds": [[*x] for x in self.bounds.values()]}
 
     def points(self) -> Points:
         """Return all points: Saltelli's sample, `samples` groups of `group` points each, and the corners.

@@ -315,15 +315,10 @@ class Pushes(MachineAnalysis[Machines]):
         coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
         sign = ("sign", list(SIGNS), {"units": "1", "long_name": "sign of the push"})
         settings = {"method": METHOD, "scan": self.scan, "precision": self.precision, "patience": PATIENCE}
-        dataset = self.dataset(
-            variables,
-            {**coordinates, "sign": sign},
-            of=sweep,
-            title=f"Smallest pushes out of the working cycle: {sweep.scene}",
-            start=json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
-            run=cycle.attrs["run"],
-            pushes=json.dumps(settings),
-        )
+        stated: dict[str, Any] = {"run": cycle.attrs["run"], "pushes": json.dumps(settings)}
+        stated["start"] = json.dumps(sweep.starts[0]) if sweep.starts is not None else ""
+        title = f"Smallest pushes out of the working cycle: {sweep.scene}"
+        dataset = self.dataset(variables, {**coordinates, "sign": sign}, of=sweep, title=title, **stated)
         return dataset if spec.several else dataset.isel(point=0, drop=True)
 
     def _bounds(self, system: Scene[Any], cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
