@@ -189,8 +189,8 @@ class Designs(FileAnalysis[DesignSpec]):
         unbounded = [np.isin(a.lanes["regime"], UNBOUNDED) if "regime" in a.lanes else np.zeros(1) for a in results]
         over_map = [a.objective if a.feasible else np.nan for a in points]
         data |= {
-            "share": ("candidate", [a.good[0].mean() for a in results]),
-            "share_worst": ("candidate", [a.good.mean(axis=1).min() for a in results]),
+            "share": ("candidate", [a.share[0] for a in results]),
+            "share_worst": ("candidate", [a.share.min() for a in results]),
             "feasible": ("candidate", [a.feasible for a in results]),
             "irregular_share": ("candidate", [x.mean() for x in unbounded]),
             "gradient": (("candidate", "parameter"), [search.gradient(a) for a in results]),

@@ -324,6 +324,7 @@ class Assessment:
     - `lanes`: all variables; `values`: those that the design names, of arrays the greatest.
     - `fit`, `good` (samples, starts): lanes in the regime, and those that meet the limits as well.
     - `slack` (constraints, samples, starts): distance to the tightened limit, relative to the limit.
+    - `share` (samples): share of good starts, and `missed`: by how much it is outside the required range.
     - `objective`, `worst`: of the good lanes at the nominal point, and at all samples; NaN if there are none.
     - `badness`: 0 if all requirements hold, else a measure of the violations. `rank`: order from best to worst.
     """
@@ -341,13 +342,15 @@ class Assessment:
         slack = np.array([c.slack(self.values[c.variable]) for c in spec.constraints]).reshape(-1, *fit.shape)
         self.fit, self.slack = fit, np.where(np.isnan(slack) & fit, -1.0, slack)
         self.good = fit & (self.slack >= 0).all(axis=0)
+        least, most = spec.share or (1.0, 1.0)
+        self.share = self.good.mean(axis=1)
+        self.missed = np.maximum(np.maximum(least - self.share, self.share - most), 0.0)
         if spec.share is None:
             # Of two points that fail, one in the regime is better than one outside, whatever its violations.
             violation = np.where(fit, np.maximum(-self.slack, 0.0), 0.0).max(axis=(1, 2), initial=0.0)
             badness = (len(slack) + 1) * float((~fit).mean()) + float((violation / (1 + violation)).sum())
         else:
-            share = self.good.mean(axis=1)
-            badness = float(np.maximum(np.maximum(spec.share[0] - share, share - spec.share[1]), 0.0).max())
+            badness = float(self.missed.max())
             badness = badness if self.good[0].any() or badness > 0 else 1.0
         used = self.good if self.good[0].any() else fit
         self.objective = extreme(objective[:1][used[:1]], "least")
@@ -369,11 +372,6 @@ class Assessment:
             if not any(np.allclose(rows[start], rows[k], rtol=1e-6, atol=0, equal_nan=True) for k in chosen):
                 chosen.append(int(start))
         return chosen
-
-    @property
-    def violated(self) -> list[Constraint]:
-        slack = np.where(self.fit, self.slack, np.inf).min(axis=(1, 2))
-        return [self.spec.constraints[j] for j in np.argsort(slack) if slack[j] < 0]
 
     @property
     def nominal(self) -> Lanes:
@@ -399,15 +397,13 @@ def infeasibility(spec: DesignSpec, points: Sequence[Assessment], checked: Seque
     fit, others, sample = nearest.fit, "", 0
     if spec.share is not None:
         name, required = "share", f"least {spec.share[0]:g}, most {spec.share[1]:g}"
-        share = nearest.good.mean(axis=1)
-        sample = int(np.maximum(spec.share[0] - share, share - spec.share[1]).argmax())
-        reached = f"{share[sample]:.3g}"
-    elif fit.any() and nearest.violated:
-        limit = nearest.violated[0]
+        sample = int(nearest.missed.argmax())
+        reached = f"{nearest.share[sample]:.3g}"
+    elif fit.any() and (slack := np.where(fit, nearest.slack, np.inf)).min(initial=np.inf) < 0:
+        worst, sample, start = map(int, np.unravel_index(slack.argmin(), slack.shape))
+        limit = spec.constraints[worst]
         name, required = limit.variable, f"{limit.end} {spec.amount(limit.variable, limit.limit)}"
-        slack = np.where(fit, nearest.slack[spec.constraints.index(limit)], np.inf)
-        sample = int(slack.min(axis=1).argmin())
-        reached = spec.amount(limit.variable, float(nearest.values[limit.variable][sample, slack[sample].argmin()]))
+        reached = spec.amount(name, float(nearest.values[name][sample, start]))
     else:
         sample = int(fit.all(axis=1).argmin())
         name = "regime" if spec.regime else spec.maximise

@@ -138,10 +138,8 @@ class Search:
             verified += checked
             if len(self.box) == 1 or not checked or any(a.feasible for a in checked):
                 break
-            least, most = self.spec.share or (1.0, 1.0)
             for a in checked:
-                share = a.good.mean(axis=1)
-                failing = np.flatnonzero((share < least) | (share > most))
+                failing = np.flatnonzero(a.missed > 0)
                 some = failing[:: max(1, len(failing) // ADDED_SAMPLES)][:ADDED_SAMPLES]
                 self.box = np.concatenate([self.box, a.offsets[some]])
             candidates, radius = self.assess([a.unit for a in candidates], self.box), REPAIR_RADIUS
