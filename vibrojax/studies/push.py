@@ -159,9 +159,6 @@ def smallest_push(
     variable, in either direction, when the cycle crosses the section (the bit overtakes the drive). After a push, the
     motion settles for `settle` seconds and is observed for `observe` seconds.
 
-    Repeated scans, and then a refinement of the bracket, locate the smallest push after which the motion does not
-    return to the working cycle.
-
     **Arguments:**
 
     - `scene`: a scene with a drill, or its name; `parameters`: parameters of the scene (SI), as in `simulate`.
@@ -251,16 +248,18 @@ class Pushes(MachineAnalysis[Machines]):
         begin = np.stack([section.get(name, np.zeros(len(stable))) for name in system.start_states], axis=1)
         bound = self._bounds(system, cycle.isel(point=stable))
 
-        # Directions are pairs of state variable and sign; `high`: smallest leaving push found, NaN if there is none.
+        # A direction is a state variable and a sign; `high`: smallest leaving push found, NaN if there is none.
         # `low`: greatest push below it after which the motion is known to return; `regime`: where `high` leads.
-        top = np.repeat(bound, len(SIGNS), axis=1)
+        top = np.repeat(bound[..., None], len(SIGNS), axis=2)
         low, high, regime = np.zeros_like(top), np.full_like(top, np.nan), np.zeros(top.shape, int)
 
-        def narrow(pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray) -> None:
+        def narrow(pushes: Float[np.ndarray, "points states signs pushes"], mask: np.ndarray) -> None:
+            if not mask.any():
+                return
             tried = pushes[mask]
-            point, direction = np.repeat(np.argwhere(mask), pushes.shape[-1], axis=0).T
+            point, state, side = np.repeat(np.argwhere(mask), pushes.shape[-1], axis=0).T
             states = begin[point]
-            states[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * tried.ravel()
+            states[np.arange(len(point)), state] += np.array(SIGNS)[side] * tried.ravel()
             outcomes = _outcomes(sweep, orbits, stable[point], states, 1.0, progress)
             unclear = np.flatnonzero(outcomes[1] & (outcomes[2] == IRREGULAR))
             if len(unclear):
@@ -278,16 +277,13 @@ class Pushes(MachineAnalysis[Machines]):
         mask = np.ones(top.shape, bool)
         for _ in range(MAX_SCANS):
             before = high.copy()
-            if mask.any():
-                narrow(top[..., None] * (np.arange(1, self.scan + 1) / self.scan), mask)
+            narrow(top[..., None] * (np.arange(1, self.scan + 1) / self.scan), mask)
             top, mask = high, high < np.where(np.isnan(before), np.inf, before)
         for _ in range(BRACKET_ROUNDS):
             mask = high - low > self.precision * high  # False for NaN
-            if mask.any():
-                narrow(low[..., None] + (high - low)[..., None] * (np.arange(1, BRACKET_PIECES) / BRACKET_PIECES), mask)
-        found = {_PUSH: high, "bracket_": high - low, "regime_": regime}
-        both = {part: x.reshape(*bound.shape, len(SIGNS)) for part, x in found.items()}
-        return self._dataset(spec, cycle, stable, both | {"bound_": bound})
+            narrow(low[..., None] + (high - low)[..., None] * (np.arange(1, BRACKET_PIECES) / BRACKET_PIECES), mask)
+        found = {_PUSH: high, "bracket_": high - low, "bound_": bound, "regime_": regime}
+        return self._dataset(spec, cycle, stable, found)
 
     def _dataset(
         self, spec: Machines, cycle: xr.Dataset, stable: Index, found: Mapping[str, Shaped[np.ndarray, "stable ..."]]

@@ -134,8 +134,7 @@ FORMS = (
 
 FORMULAS = {form.name: form.formula for form in FORMS}
 
-LOGARITHMIC = ("literal", "percent", "onset")
-"""Names of the three readings of the source's law, eq. 6.4."""
+LOGARITHMIC = ("literal", "percent", "onset")  # the three readings of the source's law, eq. 6.4
 
 BEGINNING = ("onset", "line")
 """Forms whose rate begins at a fitted onset: below it, they predict no penetration, whose noise may be positive."""
