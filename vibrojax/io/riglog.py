@@ -253,18 +253,9 @@ def _times(about: Column, cells: pd.DataFrame, text: pd.Series, numbers: Rows, w
 
 
 _same = partial(np.isclose, rtol=1e-4, atol=0.0)  # about as many digits as a picture prints
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "<=": np.less_equal,
-    ">=": np.greater_equal,
-    "!=": lambda x, y: ~_same(x, y),
-    "==": _same,
-    "=": _same,
-    "<": np.less,
-    ">": np.greater,
-}
-_CONDITION = re.compile(
-    rf"\s*([^<>=!]+?)\s*(?:[(\[]([^()\[\]<>=!]+)[)\]]\s*)?({'|'.join(_OPERATORS)})\s*([^<>=!]+?)\s*"
-)
+_COMPARE: dict[str, Callable[[Any, Any], Any]] = {"<=": np.less_equal, ">=": np.greater_equal, "==": _same}
+_COMPARE |= {"!=": lambda x, y: ~_same(x, y), "=": _same, "<": np.less, ">": np.greater}
+_CONDITION = re.compile(rf"\s*([^<>=!]+?)\s*(?:[(\[]([^()\[\]<>=!]+)[)\]]\s*)?({'|'.join(_COMPARE)})\s*([^<>=!]+?)\s*")
 
 
 @dataclass(frozen=True)
@@ -281,7 +272,7 @@ class Condition:
         return f"{self.name}{f' ({self.unit})' if self.unit else ''} {self.operator} {self.value}"
 
     def holds(self, values: Any, value: float) -> Mask:
-        return np.asarray(_OPERATORS[self.operator](values, value), bool)
+        return np.asarray(_COMPARE[self.operator](values, value), bool)
 
 
 def read_conditions(where: Where) -> list[Condition]:

@@ -31,9 +31,7 @@ from vibrojax.settings.values import as_table, choice, read_pair, require_number
 from vibrojax.studies.calibration_history import VELOCITY, History
 from vibrojax.studies.calibration_model import CONSTANT, RATE, RELIEF, Problem
 
-LAW = Parameter(
-    CONSTANT, 1e-3, "m s-1", "coefficient of the law, rate = C ln(P/D)", CONSTANT, lowest=0.0, open_below=True
-)
+LAW = Parameter(CONSTANT, 1e-3, "m s-1", "coefficient of the law, rate = C ln(P/D)", "C", lowest=0.0, open_below=True)
 
 Columns = dict[str, np.ndarray]
 
@@ -65,7 +63,7 @@ class CalibrationFile(SceneFile):
     seed: int = setting(0, "seed of the points and draws", least=0)
 
 
-_TIMES = "a pair of times [s]; write [0.0, 0.5]"
+_ALWAYS, _TIMES = (-np.inf, np.inf), "a pair of times [s]; write [0.0, 0.5]"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,12 +71,8 @@ class HistoryTable(Settings):
     """The table [history] of a calibration, beside the operating conditions."""
 
     data: Any = setting(None, "the recording", read=given)
-    columns: dict[str, Any] = setting(
-        dict, "columns by quantity", read=lambda place, x: as_table(place, plain(place, x))
-    )
-    window: Any = setting(
-        (-np.inf, np.inf), "begin and end [s]", read=lambda at, x: read_pair(at, plain(at, x), _TIMES)
-    )
+    columns: dict[str, Any] = setting(dict, "columns by quantity", read=lambda at, x: as_table(at, plain(at, x)))
+    window: Any = setting(_ALWAYS, "begin and end [s]", read=lambda at, x: read_pair(at, plain(at, x), _TIMES))
     start: Any = setting(None, "state at the first sample", read=plain)
 
 
@@ -170,10 +164,8 @@ def read_calibration(
         mean, width = np.append(mean, none), np.append(width, none + np.inf)
         labels = np.append(labels, labels.max(initial=-1) + 1 + np.arange(len(history.times)))
         pads = {name: (count, 0) if name == VELOCITY else (0, len(history.times)) for name in observed}
-        observed, errors = (
-            {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in table.items()}
-            for table in (observed, errors)
-        )
+        observed = {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in observed.items()}
+        errors = {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in errors.items()}
     unknowns = (*bounds, *(() if history is None else history.states))
     values = np.stack([*observed.values()], axis=1)
     known = np.stack([errors[name] for name in observed], axis=1) if errors else None
@@ -256,9 +248,7 @@ def _read_history(
     if VELOCITY not in system.state_names or not system.autonomous:
         raise place.error(f"scene {shown(names.scene)} has no bit that a drive turns; give rows of data")
     units = {"time": "s"} | {state.name: state.unit for state in system.states}
-    chosen = {
-        choice(place.at("columns"), name, units): str(text) for name, text in (table.columns | {**columns}).items()
-    }
+    chosen = {choice(place.at("columns"), name, units): str(x) for name, x in (table.columns | {**columns}).items()}
     x, _, home = _read_table(place, table.data, folder, units, chosen)
     for name in ("time", VELOCITY):
         if name not in x:

@@ -232,9 +232,7 @@ class Model:
             velocity, derivatives = history.predict(by, thetas[:, own])
             values[:, rows:, -1], valid[:, rows:] = velocity, np.isfinite(velocity)
             slopes[:, rows:, -1, own] = derivatives
-        predictions = [
-            Prediction(np.nan_to_num(x), np.nan_to_num(d), ok) for x, d, ok in zip(values, slopes, valid, strict=True)
-        ]
+        predictions = [*map(Prediction, np.nan_to_num(values), np.nan_to_num(slopes), valid)]
         self._last = thetas.tobytes(), predictions
         return predictions
 

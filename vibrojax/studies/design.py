@@ -248,17 +248,17 @@ class Designs(FileAnalysis[DesignSpec]):
         names = [str(name) for name in ds["parameter"].values]
         what = str(ds.attrs.get("maximise", "objective")).replace("_", " ")
         share = float(best["irregular_share"]) if "irregular_share" in best else 0.0
-        lines = [
-            f"irregular motions within the tolerances ({100 * share:.3g} % of the lanes): worst values depend on the "
-            "time of observation"
-        ] * (share > 0)
+        irregular = f"irregular motions within the tolerances ({100 * share:.3g} % of the lanes)"
+        lines = [f"{irregular}: worst values depend on the time of observation"] * (share > 0)
         lines.append(f"{what} {_best_text(ds, names)}")
         lines.append(f"  requirements: {ds.attrs.get('requirements', '')}")
-        for name in _subject(ds):
-            worst = quantity_text(float(best[f"{name}_worst"]), ds[name])
-            lines.append(f"  {name.replace('_', ' ')} {quantity_text(float(best[name]), ds[name])}, worst {worst}")
-        on_map = float(ds["map_objective"].max()) if ds["map_objective"].notnull().any() else np.nan
-        if np.isfinite(on_map):
+        known = [str(name) for name in ds.data_vars if ds[name].dims == ("candidate",) and f"{name}_worst" in ds]
+        of_subject = [name for name in known if name not in ("objective", "regime", "share")]
+        subject = {name: {"nominal": float(best[name]), "worst": float(best[f"{name}_worst"])} for name in of_subject}
+        for name, ends in subject.items():
+            nominal, worst = (quantity_text(x, ds[name]) for x in ends.values())
+            lines.append(f"  {name.replace('_', ' ')} {nominal}, worst {worst}")
+        if np.isfinite(on_map := float(ds["map_objective"].max())):
             lines.append(f"  best point of the map: {quantity_text(on_map, ds['objective'])}, without tolerances")
         if ds.sizes["candidate"] > 1:
             others = ", ".join(quantity_text(float(x), ds["objective"]) for x in ds["objective"][1:])
@@ -268,20 +268,12 @@ class Designs(FileAnalysis[DesignSpec]):
             "objective": float(best["objective"]),
             "objective_worst": float(best["objective_worst"]),
             "at": {name: float(best[name]) for name in names},
-            "subject": {
-                name: {"nominal": float(best[name]), "worst": float(best[f"{name}_worst"])} for name in _subject(ds)
-            },
+            "subject": subject,
         }
         if "front" in ds.dims:
-            known = int((ds["front_feasible"] == 1).sum())
-            points = f"{known} of {ds.sizes['front']} points feasible"
+            points = f"{int((ds['front_feasible'] == 1).sum())} of {ds.sizes['front']} points feasible"
             lines.append(f"  front against {ds.attrs.get('against', '')}: {points}")
         return [SummaryPart("design", lines, {"design": facts})]
-
-
-def _subject(ds: xr.Dataset) -> list[str]:
-    own = (str(name) for name in ds.data_vars if ds[name].dims == ("candidate",))
-    return [name for name in own if f"{name}_worst" in ds and name not in ("objective", "regime", "share")]
 
 
 def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool = True) -> xr.Dataset:
