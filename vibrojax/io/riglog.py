@@ -154,12 +154,7 @@ def read_log(
 
 
 def _quantities(
-    place: Place,
-    cells: pd.DataFrame,
-    chosen: dict[str, Column],
-    missing: Collection[str],
-    needed: Collection[str],
-    notes: list[str],
+    place: Place, cells: pd.DataFrame, chosen: dict[str, Column], missing: set[str], needed: set[str], notes: list[str]
 ) -> tuple[dict[str, np.ndarray], list[tuple[str, str, float, str]]]:
     """Return the columns of a log, quantities in SI; and name, quantity, median and advice of those far from rigs.
 

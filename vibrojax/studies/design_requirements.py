@@ -29,6 +29,7 @@ from vibrojax.settings.values import STATE, as_table, choice, count, known_keys,
 Unit = Float[np.ndarray, " varied"]
 Points = Float[np.ndarray, "points varied"]
 Offsets = Float[np.ndarray, "samples tolerances"]
+Bounds = dict[str, tuple[float, float]]
 Lanes = dict[str, np.ndarray]
 """Variables of lanes by name, arrays (points or samples, starts, ...)."""
 
@@ -120,7 +121,7 @@ class DesignSpec:
     template: Sweep
     maximise: str
     robust: bool
-    bounds: dict[str, tuple[float, float]]
+    bounds: Bounds
     tolerances: dict[str, float]
     fixed: dict[str, float]
     regime: str | None
@@ -219,7 +220,7 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     options = {name: x for name, x in file.parameters.items() if name in names.options}
     numbers = {name: x for name, x in file.parameters.items() if name not in options}
     parameters: dict[str, Any] = read_parameters(place.at("parameters"), numbers, names)
-    tolerances, fixed = _read_tolerances(place.at("tolerance"), file.tolerance, names, parameters, bounds, file.unusual)
+    tolerances, fixed = _read_tolerances(place.at("tolerance"), file, names, parameters, bounds)
     along = ("", "multiplier")  # one value per lane, or along multipliers
     known = {name: about for name, about in sweep_variables(names.system).items() if about.along in along}
     smooth = [name for name in known if known[name].dtype == np.float64]
@@ -270,19 +271,14 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
 
 
 def _read_tolerances(
-    place: Place,
-    table: Mapping[str, Any],
-    names: Names,
-    parameters: Mapping[str, float],
-    bounds: Mapping[str, tuple[float, float]],
-    unusual: bool,
+    place: Place, file: DesignFile, names: Names, parameters: Mapping[str, float], bounds: Bounds
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the half-widths by name, and the nominal values of the parameters that are not varied."""
-    if len(table) > MAX_TOLERANCES:
-        raise place.error(f"{len(table)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
+    if len(file.tolerance) > MAX_TOLERANCES:
+        raise place.error(f"{len(file.tolerance)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
     widths, fixed = {}, {}
     followed = names.substituted({*bounds, *parameters})
-    for name, given_width in table.items():
+    for name, given_width in file.tolerance.items():
         here, about = place.at(name), names.parameter(place.at(name), name)
         width = widths[name] = quantity(here, given_width, HALF_WIDTH)
         if name not in bounds:
@@ -293,7 +289,7 @@ def _read_tolerances(
         for end in (low - DRAWN_BOX * width, high + DRAWN_BOX * width):
             if problem := about.problem(end):
                 raise here.error(f"{width:g} is too wide at {name} = {low:g}: {problem}")
-        if not unusual:
+        if not file.unusual:
             warn_if_far(here, about, high + width, meant="; unusual = true says that it is meant")
     return widths, fixed
 
