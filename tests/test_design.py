@@ -79,6 +79,14 @@ def test_gradient_is_slope_of_lanes():
     step = 1e-5 * float(best.bit_frequency)
     power = lanes(bit_frequency=float(best.bit_frequency) + step * np.array([-1.0, 1.0])).impact_power.values
     assert float(best.gradient[0]) == pytest.approx(np.diff(power)[0] / (2 * step), rel=1e-4)
+    assert best.bit_frequency.attrs["units"] == "Hz"
+
+
+def test_limit_of_whole_numbers_on_front_is_not_tightened():
+    """At most two impacts are two, and at most so much force is a little less."""
+    for name, limit, is_tightened in (("impacts", 2.0, False), ("peak_impact_force", FORCE, True)):
+        *_, last = read_design(DESIGN | {"front": {"against": name}}).within(limit).constraints
+        assert (last.variable, last.limit, last.margin > 0) == (name, limit, is_tightened)
 
 
 def test_points_of_front_match_simulations(designed):

@@ -61,16 +61,15 @@ _ALIASES = {
 _QUANTITIES = {alias: name for name, text in _ALIASES.items() for alias in text.split(", ")}
 _UNITS_IN_NAMES = {"rop 1 ft": "ft/h", "rop 1 m": "m/h"}
 
+# Only RigCLOUD's exports have a column of this name. They are in US field units, and do not say so.
 _FIELD_SIGN = "rop depth hour"
-"""Name that only RigCLOUD's exports have, which are in US field units and do not say so."""
 _FIELD_UNITS = {"m": "ft", "m s-1": "ft/h", "N": "klbf", "rad s-1": "rpm", "N m": "ft lbf", "m3 s-1": "gal/min"}
 _FIELD_UNITS |= {"Pa": "psi"}
 
 _TIME_FORMAT = re.compile(r"[a-z .:/-]*:[a-z .:/-]*|unitless|date ?time", re.IGNORECASE)
 """What exports write in place of the unit of times as texts."""
 
-_MARGIN = 2.0
-"""Ratio to the range of rigs beyond which the median of a column without a unit is in another unit."""
+_MARGIN = 2.0  # ratio to the range of rigs beyond which the median of a column without a unit is in another unit
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _BRACKETED = re.compile(r"\s*(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
@@ -178,21 +177,18 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
 
     `place` is the location of the `header` in the file. Parameters of scenes need a unit or the user's word.
     """
-    chosen: dict[str, Column] = {}
-    taken: dict[int, str] = {}
+    chosen, taken, notes = dict[str, Column](), dict[int | None, str](), list[str]()
     for name, text in columns.items():
         here = Place("columns", name)
         chosen[name] = column = _user_column(here, header, name, text)
-        if column.index in taken:
+        if column.index is not None and column.index in taken:
             raise here.error(f"column {shown(column.header)} is {taken[column.index]} already; give another")
-        if column.index is not None:
-            taken[column.index] = name
-    notes: list[str] = []
+        taken[column.index] = name
     is_field = any(normalised(cell) == _FIELD_SIGN for cell in header)
     recognised = [(*recognise(cell), index, cell) for index, cell in enumerate(header) if cell and index not in taken]
     known = [item for item in recognised if item[0] in KNOWN and (item[1] is not None or item[0] in (*LAW, *RIG))]
     # A column with its quantity's name comes first, then those that name a unit.
-    for quantity, unit, index, cell in sorted(known, key=lambda item: (not is_own(item[3], item[0]), item[1] is None)):
+    for quantity, unit, index, cell in sorted(known, key=lambda x: (split_unit(x[3])[0] != x[0], x[1] is None)):
         name = str(quantity)
         si = KNOWN[name].unit
         unit = None if name == TIME and _TIME_FORMAT.fullmatch(unit or "") else unit
@@ -207,11 +203,6 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
             column = _column(Place(place.file, f"{place.key}, column {cell}"), name, cell, index, unit or default)
             chosen[name] = replace(column, assumed=unit is None and si != "1")
     return chosen, notes
-
-
-def is_own(cell: str, name: str | None) -> bool:
-    """Return whether a column has the name that the quantity has here."""
-    return split_unit(cell)[0] == name
 
 
 def likely_words(name: str, column: Column, median: float) -> str | None:
@@ -232,8 +223,7 @@ def likely_words(name: str, column: Column, median: float) -> str | None:
 
 def _user_column(place: Place, header: list[str], name: str, text: str) -> Column:
     """Return the column or the constant value that the user's `text` specifies for the quantity `name`."""
-    base, unit = split_unit(text)
-    bases = [split_unit(cell)[0] for cell in header]
+    (base, unit), bases = split_unit(text), [split_unit(cell)[0] for cell in header]
     if matches := _matches(header, text) or _matches(bases, text):
         unit = None  # "Rotary RPM" is a name
     matches = matches or _matches(header, base) or _matches(bases, base)
@@ -263,15 +253,14 @@ def _column(place: Place, name: str, header: str, index: int | None, unit: str |
     si = KNOWN[name].unit
     if unit is None:
         return Column(header, index, UNITS[si][0], 1.0, assumed=si != "1")
-    scale = factor(unit, si)
-    if scale is None and name == RATE and factor(unit, "s m-1") is not None:
+    if (scale := factor(unit, si)) is not None:
+        return Column(header, index, unit, scale)
+    if name == RATE and factor(unit, "s m-1") is not None:
         right = "/".join(unit.split("/")[::-1])
         raise place.error(f"{shown(unit)} is a time per length; give the rate 1/x, in {right}")
-    if scale is None:
-        # A valid unit of another kind of quantity is no typing error: list all units instead of the most similar one.
-        right = f"choose from {', '.join(UNITS[si])}" if is_unit(unit) else suggestion(unit, UNITS[si])
-        raise place.error(f"{shown(unit)} is not a unit of {name}; {right}")
-    return Column(header, index, unit, scale)
+    # A valid unit of another kind of quantity is no typing error: list all units instead of the most similar one.
+    right = f"choose from {', '.join(UNITS[si])}" if is_unit(unit) else suggestion(unit, UNITS[si])
+    raise place.error(f"{shown(unit)} is not a unit of {name}; {right}")
 
 
 def _matches(names: list[str], text: str) -> list[int]:

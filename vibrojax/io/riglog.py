@@ -22,10 +22,8 @@ from vibrojax.io.attributes import attribute_of, table_of, text_of
 from vibrojax.io.log_columns import DEPTH, KNOWN, LINE, RATE, ROTATION_SPEED, TIME, WEIGHT, Column
 from vibrojax.physics.units import UNITS, factor, is_unit
 
-NULLS = frozenset(
-    ("-999.25", "-999", "-9999", "-9999.25", "null", "(null)", "none", "nan", "na", "n/a", "#n/a", "-", "--")
-)
-"""Numbers and texts in small letters that stand for a missing value in every file, as an empty cell does."""
+# Numbers and texts in small letters that stand for a missing value in every file, as an empty cell does.
+NULLS = {"-999.25", "-999", "-9999", "-9999.25", "null", "(null)", "none", "nan", "na", "n/a", "#n/a", "-", "--"}
 
 LIMITS_OF_LOGS = (
     "Rotary rig data are not percussive data: they can inform the friction at the bit and C of the law, "
@@ -33,13 +31,8 @@ LIMITS_OF_LOGS = (
 )
 """What summaries and pictures of a log say about it."""
 
-RPM = 2 * np.pi / 60
-SLOWEST_ROTATION = 1 * RPM
-"""Rotary speed [rad/s] below which the string does not rotate."""
-
-OFF_BOTTOM = 0.5
-"""Distance [m] of the bit from the hole's end above which it does not drill; depths are rounded to 0.3 m or less."""
-
+RPM = 2 * np.pi / 60  # rad/s; a string that rotates more slowly stands
+OFF_BOTTOM = 0.5  # m from the hole's end, above which the bit does not drill; depths are rounded to 0.3 m or less
 _LISTED = 8  # columns that a note lists
 
 LIMITS = {RATE: 500 * 0.3048 / 3600, WEIGHT: 800e3, ROTATION_SPEED: 500 * RPM, "torque": 200e3, "pressure": 150e6}
@@ -161,12 +154,7 @@ def read_log(
 
 
 def _quantities(
-    place: Place,
-    cells: pd.DataFrame,
-    chosen: dict[str, Column],
-    missing: Collection[str],
-    needed: Collection[str],
-    notes: list[str],
+    place: Place, cells: pd.DataFrame, chosen: dict[str, Column], missing: set[str], needed: set[str], notes: list[str]
 ) -> tuple[dict[str, np.ndarray], list[tuple[str, str, float, str]]]:
     """Return the columns of a log, quantities in SI; and name, quantity, median and advice of those far from rigs.
 
@@ -196,7 +184,7 @@ def _quantities(
         numbers = np.abs(values[np.isfinite(values) & (values != 0)])
         median = float(np.median(numbers)) if numbers.size else np.nan
         low, high = KNOWN[key].usual or (0.0, np.inf)
-        if key == ROTATION_SPEED and column.assumed and not known.is_own(column.header, key):
+        if key == ROTATION_SPEED and column.assumed and known.split_unit(column.header)[0] != key:
             for unit, scale in {"rev/s": 60 * RPM, "rpm": RPM}.items():  # the last that fits
                 if low <= median * scale <= high:
                     chosen[key] = column = replace(column, unit=unit, factor=scale)
@@ -260,18 +248,9 @@ def _times(about: Column, cells: pd.DataFrame, text: pd.Series, numbers: Rows, w
 
 
 _same = partial(np.isclose, rtol=1e-4, atol=0.0)  # about as many digits as a picture prints
-_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
-    "<=": np.less_equal,
-    ">=": np.greater_equal,
-    "!=": lambda x, y: ~_same(x, y),
-    "==": _same,
-    "=": _same,
-    "<": np.less,
-    ">": np.greater,
-}
-_CONDITION = re.compile(
-    rf"\s*([^<>=!]+?)\s*(?:[(\[]([^()\[\]<>=!]+)[)\]]\s*)?({'|'.join(_OPERATORS)})\s*([^<>=!]+?)\s*"
-)
+_COMPARE: dict[str, Callable[[Any, Any], Any]] = {"<=": np.less_equal, ">=": np.greater_equal, "==": _same}
+_COMPARE |= {"!=": lambda x, y: ~_same(x, y), "=": _same, "<": np.less, ">": np.greater}
+_CONDITION = re.compile(rf"\s*([^<>=!]+?)\s*(?:[(\[]([^()\[\]<>=!]+)[)\]]\s*)?({'|'.join(_COMPARE)})\s*([^<>=!]+?)\s*")
 
 
 @dataclass(frozen=True)
@@ -288,7 +267,7 @@ class Condition:
         return f"{self.name}{f' ({self.unit})' if self.unit else ''} {self.operator} {self.value}"
 
     def holds(self, values: Any, value: float) -> Mask:
-        return np.asarray(_OPERATORS[self.operator](values, value), bool)
+        return np.asarray(_COMPARE[self.operator](values, value), bool)
 
 
 def read_conditions(where: Where) -> list[Condition]:
@@ -311,10 +290,9 @@ def _meets(
     **Raises:** `InputError` if there is no such column, the value does not suit it, or no cell has a text.
     """
     here, headers = place.at(f"where {condition.text}"), {name: column.header for name, column in chosen.items()}
-    names = {known.normalised(str(name)): str(name) for name in data}
-    names |= {
-        known.normalised(text): name for name, cell in headers.items() for text in (cell, known.split_unit(cell)[0])
-    }
+    spellings = [(str(name), str(name)) for name in data]
+    spellings += [(text, name) for name, cell in headers.items() for text in (cell, known.split_unit(cell)[0])]
+    names = {known.normalised(text): name for text, name in spellings}
     key = names.get(known.normalised(condition.name), known.recognise(condition.name)[0])
     if key not in chosen and condition.unit:  # of another column, the unit is a part of its name
         key = names.get(known.normalised(f"{condition.name} {condition.unit}"))
@@ -349,16 +327,18 @@ def _meets(
 
 def _no_drilling(data: pd.DataFrame, limits: Mapping[str, float]) -> dict[str, Mask]:
     """Return masks of the rows that are no drilling, by reason; `limits`: greatest values within reason."""
-    tests: list[tuple[str, str, Callable[[pd.Series], Any]]] = [
-        (RATE, "missing rate", pd.Series.isna),
-        (WEIGHT, "missing weight", lambda x: ~(x > 0)),
-        (ROTATION_SPEED, "no rotation", lambda x: ~(x >= SLOWEST_ROTATION)),
-        (DEPTH, "missing depth", pd.Series.isna),
-        (known.BIT_DEPTH, "off bottom", lambda x: x < data.get(DEPTH, np.nan) - OFF_BOTTOM),
+    of = data.reindex(columns=[RATE, WEIGHT, ROTATION_SPEED, DEPTH, known.BIT_DEPTH])
+    rate, weight, speed, depth, bit = of.to_numpy(float).T
+    tests = [
+        (RATE, "missing rate", np.isnan(rate)),
+        (WEIGHT, "missing weight", ~(weight > 0)),
+        (ROTATION_SPEED, "no rotation", ~(speed >= RPM)),
+        (DEPTH, "missing depth", np.isnan(depth)),
+        (known.BIT_DEPTH, "off bottom", bit < depth - OFF_BOTTOM),
     ]
-    for name, word in ((RATE, "rate"), (WEIGHT, "weight"), (ROTATION_SPEED, "rotation")):
-        tests.append((name, f"{word} beyond reason", lambda x: (x < 0) | (x > limits[str(x.name)])))
-    return {reason: is_so(data[name]).to_numpy(bool) for name, reason, is_so in tests if name in data}
+    for name, word, x in ((RATE, "rate", rate), (WEIGHT, "weight", weight), (ROTATION_SPEED, "rotation", speed)):
+        tests.append((name, f"{word} beyond reason", (x < 0) | (x > limits[name])))
+    return {reason: mask for name, reason, mask in tests if name in data}
 
 
 def _not_monotonic(place: Place, column: Column, depth: Rows, kept: Mask, lines: np.ndarray) -> Mask:
@@ -391,9 +371,8 @@ def to_dataset(log: pd.DataFrame, dim: str = "row") -> xr.Dataset:
     Its attributes are the attributes of the table, as texts: `columns`, `dropped` (JSON), `rows_read`, `notes`,
     `title`, and `dialect` ("log" or "plain").
     """
-    data = xr.Dataset(
-        {name: (dim, x.to_numpy() if x.dtype.kind in "fiu" else np.array(list(x), str)) for name, x in log.items()}
-    )
+    columns = {name: x.to_numpy() if x.dtype.kind in "fiu" else np.array(list(x), str) for name, x in log.items()}
+    data = xr.Dataset({name: (dim, x) for name, x in columns.items()})
     for name in log.attrs["units"]:
         data[name].attrs = {"units": KNOWN[name].unit, "long_name": KNOWN[name].long_name}
     data[LINE].attrs = {"units": "1", "long_name": "line in the file"}

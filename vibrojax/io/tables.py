@@ -21,8 +21,7 @@ from vibrojax.physics.units import is_unit
 
 _MOST_LINES_LISTED = 12
 
-MOST_LISTED = 10
-"""Number of faults that a message lists."""
+MOST_LISTED = 10  # number of faults that a message lists
 
 Frame: TypeAlias = "pd.DataFrame"
 

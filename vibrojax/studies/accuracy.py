@@ -20,43 +20,20 @@ from vibrojax.errors import Place, counted, printable
 from vibrojax.io.attributes import table_of, title_of
 from vibrojax.io.variables import Variable
 from vibrojax.pictures.contents import SETTING
-from vibrojax.pictures.plots import (
-    FAINT,
-    INK,
-    Area,
-    Axis,
-    Key,
-    Layer,
-    Line,
-    Look,
-    Picture,
-    Plot,
-    Sheet,
-    bars,
-    dots,
-    key,
-)
+from vibrojax.pictures.plots import FAINT, INK, Area, Axis, Key, Layer, Line, Look, Plot, Sheet, bars, dots, key
 from vibrojax.progress import Progress
 from vibrojax.scenes import HasRock
 from vibrojax.settings.values import check_distinct, choice
 from vibrojax.stepping import Accuracy
-from vibrojax.studies.accuracy_programs import REFERENCE as FINE
-from vibrojax.studies.accuracy_programs import (
-    SCENES,
-    SETTINGS_TEXT,
-    DiffraxProgram,
-    Features,
-    Program,
-    Setting,
-    settings_of,
-)
-from vibrojax.studies.accuracy_programs import SECOND_REFERENCE as SECOND
+from vibrojax.studies import accuracy_programs as programs
+from vibrojax.studies.accuracy_programs import DiffraxProgram, Features, Program, Setting, settings_of
 from vibrojax.studies.analysis import Analysis, PictureRule
 
 QUICK_SCENES = ("vibro-impact", "penetration")
 REPEATS, QUICK_REPEATS, LONG_REPEATS = 5, 2, 0.6  # numbers of runs, and time [s] from which two suffice
 OTHER_MOTION_ERROR = 0.5  # relative error from which a lane counts as another motion than the reference
 TRUSTED_WITHIN = 1e-4  # relative difference of the two references up to which a lane is used for comparisons
+FINE, SECOND = programs.REFERENCE, programs.SECOND_REFERENCE
 REFERENCE_TEXT = (
     f"the located method, float64, at a tolerance of {FINE.tolerance:g} and a stride of {FINE.stride:g}; "
     f"reference_spread is its difference from another one (tolerance {SECOND.tolerance:g}, stride {SECOND.stride:g})"
@@ -116,9 +93,9 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     >>> bool((located.error_worst[located.precision == "float64"] < 1e-6).all())
     True
     """
-    scenes = tuple(scenes or (QUICK_SCENES if quick else SCENES))
+    scenes = tuple(scenes or (QUICK_SCENES if quick else programs.SCENES))
     for index, scene in enumerate(scenes):
-        choice(Place("accuracy", "scenes").item(index), scene, SCENES)
+        choice(Place("accuracy", "scenes").item(index), scene, programs.SCENES)
     check_distinct(Place("accuracy", "scenes"), scenes, "scene")
     began = time.monotonic()
     bar = Progress(sum(len(settings_of(scene, quick)) for scene in scenes), "settings", progress, pace=False)
@@ -126,15 +103,9 @@ def run_accuracy(scenes: Sequence[str] | None = None, quick: bool = False, progr
     missing = {name: 0 if variable.dtype is np.int32 else np.nan for name, variable in _VARIABLES.items()}
     columns = {name: (SETTING, [row.get(name, x) for row in rows]) for name, x in missing.items()}
     coordinates = {name: columns.pop(name) for name in Setting._fields}
-    return AccuracyStudy().dataset(
-        columns,
-        coordinates,
-        title="Speed against error",
-        reference=REFERENCE_TEXT,
-        settings=SETTINGS_TEXT,
-        machine=json.dumps(machine()),
-        wall_time_s=time.monotonic() - began,
-    )
+    about: dict[str, Any] = {"reference": REFERENCE_TEXT, "settings": programs.SETTINGS_TEXT}
+    about |= {"machine": json.dumps(machine()), "wall_time_s": time.monotonic() - began}
+    return AccuracyStudy().dataset(columns, coordinates, title="Speed against error", **about)
 
 
 def _measured_scene(scene: str, quick: bool, bar: Progress) -> list[dict[str, Any]]:
@@ -149,17 +120,17 @@ def _measured_scene(scene: str, quick: bool, bar: Progress) -> list[dict[str, An
     else:
         usable &= reference["rate_of_penetration"] > 0
     spread = error[usable].max()
-    rows, programs = [], dict[tuple[str, str], tuple[Program, float]]()
+    rows, compiled = [], dict[tuple[str, str], tuple[Program, float]]()
     for setting in settings_of(scene, quick):
         key, by_diffrax = (setting.method, setting.precision), setting.method.startswith("diffrax")
         row = {"lanes": usable.sum(), "status": len(STATUSES) - 1, "remark": STATUSES["unsupported"]}
         if not (by_diffrax and isinstance(fine.sweep.system, HasRock)):
-            if key not in programs:
+            if key not in compiled:
                 program = (DiffraxProgram if by_diffrax else Program)(scene, *key, quick)
                 began = time.perf_counter()
                 program.compile(setting.accuracy)
-                programs[key] = program, time.perf_counter() - began
-            program, compile_time = programs[key]
+                compiled[key] = program, time.perf_counter() - began
+            program, compile_time = compiled[key]
             row = _measured(program, setting.accuracy, QUICK_REPEATS if quick else REPEATS, reference, usable)
             row["compile_time"] = compile_time
         outcome = row["remark"]
@@ -190,17 +161,11 @@ def _measured(
     status, error = compared(features, expected)
     agrees, times = status == 0, np.array(seconds) / (program.sweep.lanes * (program.settle + program.observe))
     lanes, counts = counted(len(status), "lane"), np.bincount(status, minlength=len(STATUSES))
-    row: dict[str, Any] = {
-        "time_per_lane_second": np.median(times),
-        "time_per_lane_second_min": times.min(),
-        "time_per_lane_second_max": times.max(),
-        "lanes": len(status),
-        "agreeing": agrees.sum(),
-        "status": 0 if agrees.all() else status[~agrees].min(),
-        "remark": "; ".join(
-            f"{n} of {lanes} {why}" for n, why in zip(counts, STATUSES.values(), strict=True) if n and why
-        ),
-    }
+    remarks = [f"{n} of {lanes} {why}" for n, why in zip(counts, STATUSES.values(), strict=True) if n and why]
+    row: dict[str, Any] = {"lanes": len(status), "agreeing": agrees.sum(), "remark": "; ".join(remarks)}
+    row["status"] = 0 if agrees.all() else status[~agrees].min()
+    for end, of in (("", np.median), ("_min", np.min), ("_max", np.max)):
+        row[f"time_per_lane_second{end}"] = of(times)
     known = {"error_worst": error[agrees].max(), "error_median": np.median(error[agrees])} if agrees.any() else {}
     return row | known
 
@@ -218,9 +183,7 @@ def compared(features: Features, reference: Features) -> tuple[Int[np.ndarray, "
         error = reduce(np.fmax, [np.where(x == 0, 0.0, x / size) for x, size in pairs])
     other = ~(error < OTHER_MOTION_ERROR)
     if "impacts" in reference:
-        impacts, expected = (
-            np.asarray(x["impacts"], float) / np.maximum(x["cycles"], 1) for x in (features, reference)
-        )
+        impacts, expected = (np.array(x["impacts"], float) / np.maximum(x["cycles"], 1) for x in (features, reference))
         other |= ~(np.abs(impacts - expected) <= 0.05 * np.maximum(expected, 1))
     return np.select([~features["finite"], ~features["finished"], other], [1, 2, 3], 0), error
 
@@ -274,10 +237,8 @@ def table(ds: xr.Dataset) -> str:
         }
         cells["setting"] = cells["setting"].where(here["on_front"] == 0, "**" + cells["setting"] + "**")
         rule = ["---" if header in ("method", "precision", "setting", "remark") else "---:" for header in cells]
-        rows = [
-            re.sub(r"(± )?\bnan\b", "–", f"| {' | '.join(row)} |")
-            for row in (cells, *zip(*cells.values(), strict=True))
-        ]
+        texts = [f"| {' | '.join(row)} |" for row in (cells, *zip(*cells.values(), strict=True))]
+        rows = [re.sub(r"(± )?\bnan\b", "–", text) for text in texts]
         spread = here["reference_spread"].iloc[0]
         paragraphs += [
             f"## {scene}",
@@ -307,7 +268,7 @@ _LOOKS = {
 }
 
 
-def work_precision(ds: xr.Dataset) -> Picture:
+def work_precision(ds: xr.Dataset) -> Sheet:
     """Draw the worst error over the time per lane-second, both logarithmic, in one panel per scene.
 
     A whisker goes down from each setting's marker to the median lane's error. The Pareto front is in the background.
@@ -321,10 +282,8 @@ def work_precision(ds: xr.Dataset) -> Picture:
     known = ds.isel({SETTING: ds["error_worst"].values > 0})
     times, errors = (0.1, 1.0), (0.1, 1.0)
     if known.sizes[SETTING]:
-        (fastest, slowest), worst = (
-            (known[f"time_per_lane_second_{end}"] for end in ("min", "max")),
-            known["error_worst"],
-        )
+        fastest, slowest = (known[f"time_per_lane_second_{end}"] for end in ("min", "max"))
+        worst = known["error_worst"]
         times = float(fastest.min()) / 1.2, float(slowest.max()) * 1.2
         errors = float(worst.min()) / 5, float(worst.max()) * 5
     across = Axis("time per simulated lane-second [µs]", limits=times, log=True, group="time")

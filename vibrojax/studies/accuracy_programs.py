@@ -103,7 +103,6 @@ class Program:
         self.sweep = read_sweep({"scene": scene, "points": points, "run": run})
 
     def compile(self, accuracy: Accuracy) -> None:
-        """Compile the program, for any accuracy."""
         self._lanes = self.sweep.inputs()
         self._run = LaneRun(self._lanes, self.sweep.plan)
         engine = self._run.engine

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.compile.xla import precision
-from vibrojax.errors import InputError, counted
+from vibrojax.errors import Place, counted
 from vibrojax.io.attributes import flags, text_of
 from vibrojax.io.variables import VARIABLES
 from vibrojax.pictures.axes import SUPERSCRIPTS, margins, pretty_unit, scale, symbols_of, with_unit
@@ -23,14 +23,9 @@ from vibrojax.studies.calibration_history import VELOCITY
 from vibrojax.studies.calibration_model import CONSTANT, RATE, SCREENED, Fit, Model, fit_from, starts
 from vibrojax.studies.subjects import FileAnalysis
 
-MIN_EXPONENT = 0.1
-"""Exponent in a combination below which the summary leaves a parameter out."""
-
-WELL_DETERMINED = 0.1
-"""Nonlinearity up to which the summary trusts standard errors and posterior."""
-
-LARGE_RESIDUAL = 2.0
-"""Root mean square of the residuals, in standard errors, above which the summary doubts the model."""
+MIN_EXPONENT = 0.1  # exponent in a combination below which the summary leaves a parameter out
+WELL_DETERMINED = 0.1  # nonlinearity up to which the summary trusts standard errors and posterior
+LARGE_RESIDUAL = 2.0  # root mean square of the residuals, in standard errors, above which the summary doubts the model
 
 _MARKS = ("o", "s", "^", "D", "v", "P", "X", "<")
 
@@ -82,15 +77,11 @@ def calibration_picture(ds: xr.Dataset) -> Sheet:
 
 
 def _posterior_plot(ds: xr.Dataset) -> Plot:
-    names = [str(name) for name in ds["parameter"].values]
-    scales = [scale(_value(ds, k)) for k in range(len(names))]
-    signs = symbols_of(ds)
-    axes = [
-        Axis(with_unit(signs.get(name, name), unit), intervals=5) for name, (_, unit) in zip(names, scales, strict=True)
-    ]
+    scales = [scale(_value(ds, k)) for k in range(ds.sizes["parameter"])]
+    axes = [Axis(with_unit(sign, unit), intervals=5) for sign, (_, unit) in zip(_signs(ds), scales, strict=True)]
     factors = np.array([factor for factor, _ in scales])
     draws, estimate = ds["posterior"].values * factors, ds["estimate"].values * factors
-    if len(names) == 1:
+    if len(axes) == 1:
         counts, ends = np.histogram(draws[:, 0], 30)
         bars = Bars(ends[:-1], np.zeros(30), np.diff(ends), counts)
         layers: list[Layer] = [bars, upright(estimate[0], colour=IMPACT)]
@@ -118,17 +109,21 @@ def _combination_plot(ds: xr.Dataset) -> Plot:
     return Plot(layers, across, up, "combinations of parameters")
 
 
+def _signs(ds: xr.Dataset) -> list[str]:
+    signs = symbols_of(ds)
+    return [signs.get(name, name) for name in map(str, ds["parameter"].values)]
+
+
 def _value(ds: xr.Dataset, k: int) -> xr.DataArray:
-    """Return the estimate of a parameter as an array with its unit."""
     return xr.DataArray(ds["estimate"].values[k], attrs={"units": str(ds["parameter_unit"].values[k])})
 
 
 def _estimates(ds: xr.Dataset) -> list[str]:
     """Return each parameter with its estimate, its 95 % interval and its unit, or as a value at a bound."""
-    lines, reasons, signs = [], flags(ds["reason"]), symbols_of(ds)
-    for k, name in enumerate(signs.get(str(x), str(x)) for x in ds["parameter"].values):
+    lines, reasons = [], flags(ds["reason"])
+    columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high", "low", "high")
+    for k, name in enumerate(_signs(ds)):
         factor, unit = scale(_value(ds, k))
-        columns = ("estimate", "estimate_stderr", "estimate_low", "estimate_high", "low", "high")
         x, error, low, high, least, greatest = (factor * float(ds[column][k]) for column in columns)
         unit = pretty_unit(unit)
         if reasons[int(ds["reason"][k])] == "at-bound":
@@ -144,11 +139,8 @@ def _estimates(ds: xr.Dataset) -> list[str]:
 
 def _combination(ds: xr.Dataset, k: int) -> str:
     """Return a combination as a product of powers, or as a sum if a parameter may be negative."""
-    powers, signs = bool((ds["low"].values > 0).all()), symbols_of(ds)
-    parts = []
-    for name, x in zip(
-        (signs.get(str(name), str(name)) for name in ds["parameter"].values), ds["direction"].values[k], strict=True
-    ):
+    powers, parts = bool((ds["low"].values > 0).all()), []
+    for name, x in zip(_signs(ds), ds["direction"].values[k], strict=True):
         if abs(x) >= MIN_EXPONENT:
             power = "" if abs(x - 1) < 0.05 else f"{x:.1f}".translate(SUPERSCRIPTS)
             parts.append(name + power if powers else f"{x:+.1f} {name}".replace("-", "−"))
@@ -175,7 +167,6 @@ class Calibrations(FileAnalysis[Calibration]):
         return read_calibration(file, columns)
 
     def identity(self, spec: Calibration) -> dict[str, object]:
-        """Return all settings on which the result depends, as flat JSON values."""
         problem = spec.problem
         times = {} if problem.history is None else {"time": problem.history.times}
         tables = problem.conditions | dict(zip(problem.of, problem.values.T, strict=True)) | times
@@ -187,27 +178,23 @@ class Calibrations(FileAnalysis[Calibration]):
         with precision("float64"), Progress(searches, "searches", progress, pace=False) as bar:
             begins = starts(problem)
             if not begins:
-                raise InputError(
-                    f"{name}: no observation has a stable orbit from the start at any of {SCREENED} points inside the "
-                    "bounds; choose narrower bounds around plausible values, or another start"
-                )
+                where = f"at any of {SCREENED} points inside the bounds"
+                advice = "choose narrower bounds around plausible values, or another start"
+                raise Place(name).error(f"no observation has a stable orbit from the start {where}; {advice}")
             fits = []
             for theta, row in begins[:searches]:
                 model = Model(problem, theta, row)
                 fits.append((fit_from(problem, model, theta), model))
                 bar.add(1)
             fit, model = min(fits, key=lambda pair: pair[0].score)
-            used = fit.target.used
+            used = fit.used
             if fault := problem.shortage(used):
                 orbits = f"{used.sum()} of {counted(len(used), 'observation')} {'has' if used.sum() == 1 else 'have'}"
-                raise InputError(
-                    f"{name}: {orbits} an orbit of one kind inside the bounds: {fault}; narrower bounds, another "
-                    "start or more searches may find others"
-                )
+                why = f"{orbits} an orbit of one kind inside the bounds: {fault}"
+                raise Place(name).error(f"{why}; narrower bounds, another start or more searches may find others")
             return self._dataset(spec, model, fit)
 
     def _dataset(self, spec: Calibration, model: Model, fit: Fit) -> xr.Dataset:
-        """Return the dataset of the best fit; raise `InputError` if it has not reached a minimum."""
         problem, history = spec.problem, spec.problem.history
         given, count, freedom = problem.errors is not None, problem.parameters, fit.freedom
         names = problem.names[:count]
@@ -215,10 +202,8 @@ class Calibrations(FileAnalysis[Calibration]):
         if CONSTANT in names:
             rate = table["predicted"][:, problem.of.index(RATE)]
             if not (rate > 0).any():
-                raise InputError(
-                    f"{spec.origin.file}: the law C ln(P/D) gives no rate up to P/D = 1, and P/D is below at every "
-                    "observation; vibrojax fit has forms with an onset"
-                )
+                fault = "the law C ln(P/D) gives no rate up to P/D = 1, and P/D is below at every observation"
+                raise Place(spec.origin.file).error(f"{fault}; vibrojax fit has forms with an onset")
         system = problem.point.system
         parameters = {**system.parameters(), CONSTANT: LAW}
         units = {name: about.units for name, about in VARIABLES.items()} | {VELOCITY: "m s-1"}
@@ -247,25 +232,16 @@ class Calibrations(FileAnalysis[Calibration]):
             coords["state_unit"] = ("state", [system.states[system.place(name)].unit for name in history.states])
             meaning = {"long_name": "state at the first sample of the history, in its own unit"}
             table["first_state"] = ("state", fit.theta[count:], meaning)
-        symbols = ", ".join(parameters[name].symbol for name in names)
-        kind = "given" if given else "relative" if history is None else "history"
-        return self.dataset(
-            table,
-            coords,
-            title=str(spec.file.title or f"Calibration of {symbols}"),
-            scene=problem.point.scene,
-            specification=spec.origin.text,
-            searches=spec.file.searches,
-            error_model=ERROR_MODELS[kind].format(freedom=freedom),
-        )
+        title = str(spec.file.title or f"Calibration of {', '.join(parameters[name].symbol for name in names)}")
+        errors = ERROR_MODELS["given" if given else "relative" if history is None else "history"]
+        about: dict[str, Any] = {"scene": problem.point.scene, "specification": spec.origin.text}
+        about |= {"searches": spec.file.searches, "error_model": errors.format(freedom=freedom)}
+        return self.dataset(table, coords, title=title, **about)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the estimates, the combinations that the data determine, and what speaks against the estimates."""
         reasons = [flags(ds["reason"])[int(flag)] for flag in ds["reason"].values]
-        lines = [
-            f"{text}{'' if reason == 'identified' else f' ({reason})'}"
-            for text, reason in zip(_estimates(ds), reasons, strict=True)
-        ]
+        both = zip(_estimates(ds), reasons, strict=True)
+        lines = [f"{text} ({reason})".removesuffix(" (identified)") for text, reason in both]
         errors = ds["direction_error"].values
         if "confounded" in reasons:
             texts = [f"{_combination(ds, k)} to {_percent(float(e))}" for k, e in enumerate(errors) if e < VAGUE]
@@ -286,20 +262,15 @@ class Calibrations(FileAnalysis[Calibration]):
             lines.append(f"the residuals are {rms:.3g} standard errors{doubt}")
         nonlinearity = float(ds["nonlinearity"])
         if nonlinearity > WELL_DETERMINED:
-            lines.append(
-                f"over the posterior the motion differs by {_percent(nonlinearity)} from a linear prediction; standard "
-                "errors are rough"
-            )
+            text = f"over the posterior the motion differs by {_percent(nonlinearity)} from a linear prediction"
+            lines.append(f"{text}; standard errors are rough")
+        columns = [ds[f"estimate{end}"].values.tolist() for end in ("", "_stderr", "_low", "_high")]
+        parameters = {
+            str(name): {"estimate": x, "stderr": error, "interval": [low, high], "reason": reason}  # NaN at a bound
+            for name, x, error, low, high, reason in zip(ds["parameter"].values, *columns, reasons, strict=True)
+        }
         facts = {
-            "parameters": {
-                str(name): {
-                    "estimate": float(ds["estimate"][k]),
-                    "stderr": float(ds["estimate_stderr"][k]),  # NaN, as the interval, at a bound
-                    "interval": [float(ds["estimate_low"][k]), float(ds["estimate_high"][k])],
-                    "reason": reasons[k],
-                }
-                for k, name in enumerate(ds["parameter"].values)
-            },
+            "parameters": parameters,
             "combinations": {_combination(ds, k): float(errors[k]) for k in range(len(errors))},
             "used": used,
             "error_model": text_of(ds, "error_model"),

@@ -6,24 +6,18 @@ import numpy as np
 import scipy.stats
 from jaxtyping import Float
 
-from vibrojax.errors import InputError, counted
+from vibrojax.errors import Place, counted
 from vibrojax.io.variables import Variable
 from vibrojax.studies.calibration_model import ORBIT_ERROR, TOLERANCE, Fit, Model, Problem, best_along_step
 
-CHECKED_DRAWS = 32
-"""Draws of the posterior at which the motion is computed again, to check the linear approximation."""
-
-REASONS = ("identified", "confounded", "at-bound")
-"""Whether the data determine a parameter."""
+CHECKED_DRAWS = 32  # draws of the posterior at which the motion is computed again, to check the linear approximation
+REASONS = ("identified", "confounded", "at-bound")  # whether the data determine a parameter
 
 USES = ("no", "yes")
 """Whether an observation is used: it is not where the followed orbit does not exist, or is not stable."""
 
-INTERVAL = 0.95
-"""Probability with which an interval covers the true value."""
-
-VAGUE = 0.5
-"""Relative standard error from which on a parameter is not identified."""
+INTERVAL = 0.95  # probability with which an interval covers the true value
+VAGUE = 0.5  # relative standard error from which on a parameter is not identified
 
 AT_BOUND = 1e-2
 """Distance from a bound, relative to the interval, within which an estimate whose next step leads beyond the bound is
@@ -37,7 +31,7 @@ LARGEST_FALL = 0.1
 """Variances by which the sum of squares of a history may fall along a step, where its minimum is at a kink: the
 estimate is then within a third of a standard error of it."""
 
-_OF, _PARAMETER = ("observation", "of"), ("parameter",)
+_OF, _PARAMETER, _COMBINATION = ("observation", "of"), ("parameter",), ("combination",)
 
 CALIBRATION_VARIABLES = {
     "estimate": Variable("", "estimate, in the parameter's own unit", dims=_PARAMETER),
@@ -48,10 +42,8 @@ CALIBRATION_VARIABLES = {
     "high": Variable("", "upper bound, in the parameter's own unit", dims=_PARAMETER),
     "reason": Variable("1", "whether the data determine the parameter", np.int8, REASONS, dims=_PARAMETER),
     "correlation": Variable("1", "correlation of two estimates", dims=("parameter", "other")),
-    "direction": Variable("1", "exponent of the parameter in a combination", dims=("combination", "parameter")),
-    "direction_error": Variable(
-        "1", "relative standard error of a combination, best known first", dims=("combination",)
-    ),
+    "direction": Variable("1", "exponent of the parameter in a combination", dims=_COMBINATION + _PARAMETER),
+    "direction_error": Variable("1", "relative standard error of a combination, best known first", dims=_COMBINATION),
     "posterior": Variable("", "draws of the posterior, in the parameter's own unit", dims=("draw", "parameter")),
     "observed": Variable("", "observation, in the variable's own unit", dims=_OF),
     "predicted": Variable("", "value of the orbit at the estimate, in the variable's own unit", dims=_OF),
@@ -71,8 +63,8 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
 
     **Raises:** `InputError` if the fit has not reached a minimum.
     """
-    theta, prediction, target, cost, freedom, _ = fit
-    residuals, jacobian = target.residuals(prediction, theta), target.jacobian(prediction)
+    theta, prediction, weight, cost, freedom, _ = fit
+    residuals, jacobian = problem.residuals(weight, prediction, theta), problem.jacobian(weight, prediction)
     given, count, history = problem.errors is not None, problem.parameters, problem.history
     low, high, estimate = problem.low[:count], problem.high[:count], theta[:count]
     variance = 1.0 if given else max(cost / freedom, ORBIT_ERROR**2)
@@ -86,17 +78,14 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
         free = jacobian * ~beyond
     offset = np.linalg.norm(free @ np.linalg.lstsq(free, residuals)[0])
     far = offset > LARGEST_OFFSET * np.sqrt(variance * len(theta)) + TOLERANCE
-    if far and (history is None or best_along_step(problem, model, target, theta)[1] > LARGEST_FALL * variance):
+    if far and (history is None or best_along_step(problem, model, weight, theta)[1] > LARGEST_FALL * variance):
         where = ", ".join(f"{name} = {x:.4g}" for name, x in zip(problem.names, theta, strict=True))
         others = "give other bounds, another start, more searches, or leave out observations of other motions"
-        if beyond.any():
-            names = ", ".join(name for name, at_bound in zip(problem.names, beyond, strict=True) if at_bound)
+        if names := ", ".join(name for name, at_bound in zip(problem.names, beyond, strict=True) if at_bound):
             others = f"{names}: at-bound, the data suggest values beyond; widen the bounds, or examine the model"
-        raise InputError(
-            f"{file}: no search has reached a minimum of the residuals; the best one ended at "
-            f"{where}, where {target.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit; "
-            f"{others}"
-        )
+        where += f", where {fit.used.sum()} of {counted(len(problem.labels), 'observation')} have an orbit"
+        fault = f"no search has reached a minimum of the residuals; the best one ended at {where}; {others}"
+        raise Place(file).error(fault)
     # Unknown states follow the parameters: what they cannot compensate determines the parameters.
     along = jacobian[:, count:]
     follow = -np.linalg.pinv(along) @ jacobian[:, :count]
@@ -117,11 +106,9 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
     posterior = moved(steps)
     reason = np.where(width < VAGUE, REASONS.index("identified"), REASONS.index("confounded"))
     reason = np.where(beyond[:count], REASONS.index("at-bound"), reason)
-    nonlinearity = np.nan
-    if not reason.any():
-        checked = posterior[:CHECKED_DRAWS]
-        thetas = np.hstack([checked, theta[count:] + (checked - estimate) @ follow.T])
-        nonlinearity = _nonlinearity(model, fit, jacobian, thetas)
+    checked = posterior[:CHECKED_DRAWS]
+    thetas = np.hstack([checked, theta[count:] + (checked - estimate) @ follow.T])
+    nonlinearity = np.nan if reason.any() else _nonlinearity(problem, model, fit, jacobian, thetas)
     inside = np.where(beyond[:count], np.nan, 1.0)  # at a bound, the normal approximation gives no interval
     covered = 0.5 + INTERVAL / 2
     quantile = scipy.stats.norm.ppf(covered) if given else scipy.stats.t.ppf(covered, freedom)
@@ -143,8 +130,8 @@ def estimated(file: str, problem: Problem, model: Model, fit: Fit, draws: int) -
         "posterior": posterior,
         "observed": problem.values,
         "predicted": predicted,
-        "residual": np.where(target.weight > 0, (prediction.values - problem.values) / error, np.nan),
-        "used": target.used,
+        "residual": np.where(weight > 0, (prediction.values - problem.values) / error, np.nan),
+        "used": fit.used,
         "chi_squared": cost / variance,
         "freedom": freedom,
         "noise": noise,
@@ -170,15 +157,15 @@ def _uncertainty(
     return (vectors * finite**2) @ vectors.T, (vectors * signs).T, errors
 
 
-def _nonlinearity(model: Model, fit: Fit, jacobian: np.ndarray, draws: np.ndarray) -> float:
+def _nonlinearity(problem: Problem, model: Model, fit: Fit, jacobian: np.ndarray, draws: np.ndarray) -> float:
     """Return the error of the linear prediction at draws of the posterior, relative to the spread of the prediction."""
-    rows, width = slice(0, fit.target.values.size), fit.target.values.shape[1]
-    centre = fit.target.residuals(fit.prediction, fit.theta)
+    rows, width = slice(0, fit.weight.size), fit.weight.shape[1]
+    centre = problem.residuals(fit.weight, fit.prediction, fit.theta)
     off, spread = [], []
     for draw, prediction in zip(draws, model.predict_all(draws), strict=True):
         valid = np.repeat(prediction.valid, width)
         linear = jacobian @ (draw - fit.theta)
-        off.append((fit.target.residuals(prediction, draw) - centre - linear)[rows][valid])
+        off.append((problem.residuals(fit.weight, prediction, draw) - centre - linear)[rows][valid])
         spread.append(linear[rows][valid])
     total = np.sum(np.concatenate(spread) ** 2)
     return float(np.sqrt(np.sum(np.concatenate(off) ** 2) / total)) if total > 0 else np.nan

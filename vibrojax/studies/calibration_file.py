@@ -1,6 +1,6 @@
 """The file of a calibration: observations of orbits and a recorded velocity, unknowns, errors and priors."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -31,9 +31,9 @@ from vibrojax.settings.values import as_table, choice, read_pair, require_number
 from vibrojax.studies.calibration_history import VELOCITY, History
 from vibrojax.studies.calibration_model import CONSTANT, RATE, RELIEF, Problem
 
-LAW = Parameter(
-    CONSTANT, 1e-3, "m s-1", "coefficient of the law, rate = C ln(P/D)", CONSTANT, lowest=0.0, open_below=True
-)
+LAW = Parameter(CONSTANT, 1e-3, "m s-1", "coefficient of the law, rate = C ln(P/D)", "C", lowest=0.0, open_below=True)
+
+Columns = dict[str, np.ndarray]
 
 MAX_OBSERVATIONS = 10_000
 """Largest number of rows. Each is an orbit that is solved at every step of the search."""
@@ -63,7 +63,7 @@ class CalibrationFile(SceneFile):
     seed: int = setting(0, "seed of the points and draws", least=0)
 
 
-_TIMES = "a pair of times [s]; write [0.0, 0.5]"
+_ALWAYS, _TIMES = (-np.inf, np.inf), "a pair of times [s]; write [0.0, 0.5]"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +71,8 @@ class HistoryTable(Settings):
     """The table [history] of a calibration, beside the operating conditions."""
 
     data: Any = setting(None, "the recording", read=given)
-    columns: dict[str, Any] = setting(
-        dict, "columns by quantity", read=lambda place, x: as_table(place, plain(place, x))
-    )
-    window: Any = setting(
-        (-np.inf, np.inf), "begin and end [s]", read=lambda at, x: read_pair(at, plain(at, x), _TIMES)
-    )
+    columns: dict[str, Any] = setting(dict, "columns by quantity", read=lambda at, x: as_table(at, plain(at, x)))
+    window: Any = setting(_ALWAYS, "begin and end [s]", read=lambda at, x: read_pair(at, plain(at, x), _TIMES))
     start: Any = setting(None, "state at the first sample", read=plain)
 
 
@@ -100,9 +96,9 @@ def read_calibration(
     """
     recorded: dict[str, Any] = {}
     if isinstance(source, Mapping):
-        kinds = {key: source[key] for key in ("data", "history") if key in source}
-        recorded = {key: value for key, value in kinds.items() if not isinstance(value, (str, PathLike))}
-        source = {key: value for key, value in source.items() if key not in recorded}
+        of_data = {key: x for key, x in source.items() if key in ("data", "history")}
+        recorded = {key: x for key, x in of_data.items() if not isinstance(x, (str, PathLike))}
+        source = {key: x for key, x in source.items() if key not in recorded}
     origin = read_source(source, "calibration")
     file, place, names = read_file(CalibrationFile, replace(origin, tables=origin.tables | recorded))
     unknown, fixed, folder = as_table(place.at("unknown"), file.unknown or {}), dict(file.parameters), origin.folder
@@ -151,45 +147,39 @@ def read_calibration(
     for name, pair in file.prior.items():
         here, k = place.at("prior").at(name), [*bounds].index(choice(place.at("prior"), name, tuple(bounds)))
         mean[k], width[k] = read_pair(here, pair, "a mean and a standard deviation; write [0.4, 0.05]")
-        if not bounds[name][0] <= mean[k] <= bounds[name][1]:
+        low, high = bounds[name]
+        if not low <= mean[k] <= high:
             unit = {**names.writable, CONSTANT: LAW}[name].unit
-            unit = UNITS.get(unit, (unit,))[0]
-            value, end = (f"{x:.6g} {unit}".removesuffix(" 1") for x in (mean[k], bounds[name][1]))
-            fault = f"the mean {value} is outside the bounds, {bounds[name][0]:.6g} to {end}"
+            value, end = (f"{x:.6g} {UNITS.get(unit, (unit,))[0]}".removesuffix(" 1") for x in (mean[k], high))
+            fault = f"the mean {value} is outside the bounds, {low:.6g} to {end}"
             raise here.error(f"{fault}; correct its unit, or widen [unknown]")
         if not width[k] > 0:
             raise here.error(f"{width[k]:g} is not a standard deviation; it must be above 0")
     if file.prior and not errors:
         raise place.at("prior").error("has no weight without standard errors of the observations; give [error]")
-    low, high = np.array([*bounds.values()]).T
+    least, most = np.array([*bounds.values()]).T
     if history is not None:
         none, count = np.zeros(len(history.states)), len(labels)
-        low, high = np.append(low, -history.bound), np.append(high, history.bound)
+        least, most = np.append(least, -history.bound), np.append(most, history.bound)
         mean, width = np.append(mean, none), np.append(width, none + np.inf)
         labels = np.append(labels, labels.max(initial=-1) + 1 + np.arange(len(history.times)))
         pads = {name: (count, 0) if name == VELOCITY else (0, len(history.times)) for name in observed}
         observed = {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in observed.items()}
         errors = {name: np.pad(x, pads[name], constant_values=np.nan) for name, x in errors.items()}
-    states = () if history is None else history.states
+    unknowns = (*bounds, *(() if history is None else history.states))
     values = np.stack([*observed.values()], axis=1)
     known = np.stack([errors[name] for name in observed], axis=1) if errors else None
     problem = Problem(
-        point, history, (*bounds, *states), low, high, mean, width, conditions, (*observed,), values, known,
-        labels, file.seed,
-    )  # fmt: skip
+        point, history, unknowns, least, most, mean, width, conditions, (*observed,), values, known, labels, file.seed
+    )
     if fault := problem.shortage(np.ones(len(labels), bool)):
         raise home.error(fault)
     return Calibration(file, origin, problem)
 
 
 def _read_rows(
-    place: Place,
-    file: CalibrationFile,
-    folder: Path,
-    names: Names,
-    variables: Sequence[str],
-    unknown: Mapping[str, object],
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray, Place]:
+    place: Place, file: CalibrationFile, folder: Path, names: Names, variables: list[str], unknown: Mapping[str, object]
+) -> tuple[Columns, Columns, Columns, np.ndarray, Place]:
     """Return operating conditions, observations and standard errors of the rows, their numbers, and their place.
 
     A rotation speed and a radius are conditions too.
@@ -228,9 +218,7 @@ def _read_rows(
     return conditions, observed, errors, labels, place
 
 
-def _read_errors(
-    place: Place, table: Mapping[str, object], observed: Mapping[str, np.ndarray], columns: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
+def _read_errors(place: Place, table: Mapping[str, object], observed: Columns, columns: Columns) -> Columns:
     """Return the standard error of each observation; none if neither the `columns` nor the `table` give any."""
     for name in table:
         choice(place, name, tuple(observed))
@@ -246,12 +234,7 @@ def _read_errors(
 
 
 def _read_history(
-    place: Place,
-    file: CalibrationFile,
-    names: Names,
-    conditions: Collection[str],
-    folder: Path,
-    columns: Mapping[str, str],
+    place: Place, file: CalibrationFile, names: Names, conditions: list[str], folder: Path, columns: Mapping[str, str]
 ) -> History:
     """Return the recorded velocity, the point at which it was recorded, and the state at its first sample."""
     system, value = names.system, file.history
@@ -265,9 +248,7 @@ def _read_history(
     if VELOCITY not in system.state_names or not system.autonomous:
         raise place.error(f"scene {shown(names.scene)} has no bit that a drive turns; give rows of data")
     units = {"time": "s"} | {state.name: state.unit for state in system.states}
-    chosen = {
-        choice(place.at("columns"), name, units): str(text) for name, text in (table.columns | {**columns}).items()
-    }
+    chosen = {choice(place.at("columns"), name, units): str(x) for name, x in (table.columns | {**columns}).items()}
     x, _, home = _read_table(place, table.data, folder, units, chosen)
     for name in ("time", VELOCITY):
         if name not in x:
@@ -294,20 +275,14 @@ def _read_history(
             likely = likely_units(step, "s", (0.0, period / 2))
             advice = next((f'if it is in {unit}, write "time ({unit})"' for unit in likely), "give more samples")
             raise home.at("time").error(f"{fault}; {advice}")
-    return History(
-        point=point,
-        begin=float(time[0]),
-        times=time - time[0],
-        velocity=velocity,
-        states=tuple(state.name for state in states),
-        guess=np.array(guess),
-        bound=np.array([speed if state.is_velocity else speed * np.ptp(time) for state in states]),
-    )
+    bound = np.array([speed if state.is_velocity else speed * np.ptp(time) for state in states])
+    unknown = tuple(state.name for state in states)
+    return History(point, float(time[0]), time - time[0], velocity, unknown, np.array(guess), bound)
 
 
 def _read_table(
     place: Place, data: Any, folder: Path, units: Mapping[str, str], chosen: Mapping[str, str] | None = None
-) -> tuple[dict[str, np.ndarray], np.ndarray, Place]:
+) -> tuple[Columns, np.ndarray, Place]:
     """Return the columns of a file, dataset or table, the number of each row (in a text file, its line), and its place.
 
     `units`: SI units by quantity, to which the columns are converted. `chosen`: columns, by quantity, whose names

@@ -19,17 +19,15 @@ from vibrojax.scenes import Scene
 from vibrojax.scenes.declared import Values as States
 from vibrojax.stepping import Accuracy, Goal, Lane, Varied, lane_at
 
-VELOCITY = "v1"
-"""State that a history records: the velocity of the bit relative to the drive."""
-
-SAMPLES_PER_CALL = 64
-"""Number of samples per call of the compiled program, which is compiled for this number only."""
-
-SAME_TIME = 1e-9
-"""Difference of times [s] that rounding may cause."""
+VELOCITY = "v1"  # state that a history records: the velocity of the bit relative to the drive
+SAMPLES_PER_CALL = 64  # number of samples per call of the compiled program, which is compiled for this number only
+SAME_TIME = 1e-9  # difference of times [s] that rounding may cause
 
 MOST_STEPS_PER_SAMPLE = 2_000
 """Limit of steps from one sample to the next, far more than between two returns to the section."""
+
+Moving = tuple[Lane, Lane]
+"""Lanes, and their derivatives along one direction each."""
 
 Begin = tuple[dict[str, Lanes], States]
 """Parameters by name, and initial states (ignored if the initial condition is a name)."""
@@ -79,11 +77,10 @@ class History:
         def work(part: np.ndarray) -> np.ndarray:
             named, accuracy = start if isinstance(start, str) else None, Accuracy(*map(np.float64, DERIVATIVE_ACCURACY))
             begin, along = pick(part, 0), pick(part, 1)
-            lane, moved = _begun(scene, named, begin, along)
-            rows = []
+            both, rows = _begun(scene, named, begin, along), []
             for block in times.reshape(calls, SAMPLES_PER_CALL, 1):
                 until = np.broadcast_to(block, (SAMPLES_PER_CALL, len(part))).copy()
-                lane, moved, *sampled = _sampled(scene, named, begin, along, lane, moved, until, accuracy)
+                both, *sampled = _sampled(scene, named, begin, along, both, until, accuracy)
                 velocity, clock, rate, slope, late = map(np.asarray, sampled)
                 # Steps have fixed lengths, so that the end of the last one moves with the times of events.
                 rows.append([np.where(clock >= until - SAME_TIME, velocity, np.nan), slope - rate * late])
@@ -94,7 +91,6 @@ class History:
 
 
 def _constants(scene: Scene[Any], start: str | None, begin: Begin) -> tuple[Any, States]:
-    """Return the constants of the scene for a motion, and its initial state."""
     p, state = begin
     c = scene.constants(p)
     state = state if start is None else scene.start(c, start, state[0].shape)
@@ -102,30 +98,23 @@ def _constants(scene: Scene[Any], start: str | None, begin: Begin) -> tuple[Any,
 
 
 @lane_function(static=2)
-def _begun(scene: Scene[Any], start: str | None, begin: Begin, along: Begin) -> tuple[Lane, Lane]:
+def _begun(scene: Scene[Any], start: str | None, begin: Begin, along: Begin) -> Moving:
     """Return lanes at t = 0, and their derivatives along the direction `along`."""
     return jax.jvp(lambda begin: with_derivatives(lane_at(scene, *_constants(scene, start, begin))), (begin,), (along,))
 
 
 @lane_function(static=2)
 def _sampled(
-    scene: Scene[Any],
-    start: str | None,
-    begin: Begin,
-    along: Begin,
-    lane: Lane,
-    moved: Lane,
-    times: Array,
-    accuracy: Accuracy,
-) -> tuple[Lane, Lane, Array, Array, Array, Array, Array]:
-    """Step lanes with their derivatives `moved` to each of the `times` (samples, lanes).
+    scene: Scene[Any], start: str | None, begin: Begin, along: Begin, both: Moving, times: Array, accuracy: Accuracy
+) -> tuple[Moving, Array, Array, Array, Array, Array]:
+    """Step lanes with their derivatives to each of the `times` (samples, lanes).
 
     **Returns:** lanes and derivatives at the last time; at each time the velocity, the clock and the acceleration, and
     the derivatives of velocity and clock (samples, lanes).
     """
     place = scene.place(VELOCITY)
 
-    def to(both: tuple[Lane, Lane], time: Any) -> Any:
+    def to(both: Moving, time: Any) -> Any:
         def moving(lane: Lane, steps: Any) -> Flags:
             return (lane.clock.until(time) > 0) & (steps < MOST_STEPS_PER_SAMPLE)
 
@@ -144,5 +133,5 @@ def _sampled(
         (lane, rate), (moved, _) = jax.jvp(motion, (begin, both[0]), (along, both[1]))
         return (lane, moved), (lane.state[place], lane.clock.high, rate, moved.state[place], moved.clock.high)
 
-    (lane, moved), rows = lax.scan(to, (lane, moved), times)
-    return lane, moved, *rows
+    both, rows = lax.scan(to, both, times)
+    return both, *rows

@@ -21,20 +21,14 @@ CONSTANT = "C"
 
 RATE, RELIEF = "rate_of_penetration", "relief"
 
-MAX_EVALUATIONS = 60
-"""Limit of the evaluations of one search; a search from a point of the box takes 5 to 20."""
-
-TOLERANCE = 1e-8
-"""Relative tolerance of a search, far below every standard error."""
+MAX_EVALUATIONS = 60  # limit of the evaluations of one search; a search from a point of the box takes 5 to 20
+TOLERANCE = 1e-8  # relative tolerance of a search, far below every standard error
 
 ORBIT_ERROR = 1e-10
 """Relative error of the features of orbits; residuals cannot show a smaller error of the observations."""
 
-SCREENED = 32
-"""Number of points of the box whose motions are simulated, to begin the searches at the best of them."""
-
-SCREENED_ROWS = 4
-"""Largest number of observations that are simulated at each of these points."""
+SCREENED = 32  # number of points of the box whose motions are simulated, to begin the searches at the best of them
+SCREENED_ROWS = 4  # largest number of observations that are simulated at each of these points
 
 OTHER_UNIT = 10.0
 """Ratio to all motions inside the bounds beyond which observations are in another unit, if one brings them back."""
@@ -45,8 +39,7 @@ MAX_ROUNDS = 8
 SAME_WEIGHTS = 1e-3
 """Relative change of the weights, far below any error of an estimated noise, at which the rounds end."""
 
-STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
-"""Shares of a step of Gauss and Newton that are tried where a search ends."""
+STEP_SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)  # shares of a step of Gauss and Newton that are tried where a search ends
 
 SMALLEST_SHARE = 1e-2
 """Share of its variable's mean size below which a value has no smaller error: values near 0 are not exact."""
@@ -87,12 +80,10 @@ class Problem:
 
     @property
     def rows(self) -> int:
-        """Number of rows; the other observations are samples of the history."""
         return len(self.labels) - (0 if self.history is None else len(self.history.times))
 
     @property
     def parameters(self) -> int:
-        """Number of unknown parameters; the other unknowns are states."""
         return len(self.names) - (0 if self.history is None else len(self.history.states))
 
     @property
@@ -149,11 +140,22 @@ class Problem:
         floor = SMALLEST_SHARE * np.nanmean(np.abs(self.values), axis=0)
         return np.fmax(np.abs(values), np.where(floor > 0, floor, 1.0))
 
-    def target(self, used: Rows, sizes: Values) -> "Target":
-        """Return the target of a fit to the observations `used`; without standard errors, with weights at `sizes`."""
+    def weights(self, used: Rows, sizes: Values) -> Values:
+        """Return the inverse standard errors of the observations `used`, 0 for the others.
+
+        Without standard errors, they are relative to an unknown noise, and follow from `sizes`.
+        """
         known = np.isfinite(self.values) & used[:, None]
-        weight = np.where(known, 1 / np.where(known, self.errors_at(sizes), 1.0), 0.0)
-        return Target(np.where(known, self.values, 0.0), weight, self.prior_mean, self.prior_error)
+        return np.where(known, 1 / np.where(known, self.errors_at(sizes), 1.0), 0.0)
+
+    def residuals(self, weight: Values, prediction: "Prediction", theta: Theta) -> Float[np.ndarray, " residuals"]:
+        """Return the residuals in standard errors, first of the observations and then of the prior."""
+        known = np.where(weight > 0, prediction.values - self.values, 0.0)
+        return np.concatenate([(weight * known).ravel(), (theta - self.prior_mean) / self.prior_error])
+
+    def jacobian(self, weight: Values, prediction: "Prediction") -> Float[np.ndarray, "residuals unknown"]:
+        slopes = np.where(weight[..., None] > 0, prediction.slopes, 0.0) * weight[..., None]
+        return np.concatenate([slopes.reshape(-1, len(self.names)), np.diag(1 / self.prior_error)])
 
 
 class Prediction(NamedTuple):
@@ -167,39 +169,8 @@ class Prediction(NamedTuple):
     valid: Rows
 
 
-class Target(NamedTuple):
-    """Values to be fitted with their inverse standard errors `weight`, 0 where they are left out, and the prior.
-
-    Without standard errors, the weights are relative to an unknown noise.
-    """
-
-    values: Values
-    weight: Values
-    mean: Theta
-    width: Theta
-
-    @property
-    def used(self) -> Rows:
-        """Mask of the observations that are fitted."""
-        return np.asarray((self.weight > 0).any(axis=1))
-
-    def residuals(self, prediction: Prediction, theta: Theta) -> Float[np.ndarray, " residuals"]:
-        """Return the residuals in standard errors, first of the observations and then of the prior."""
-        known = np.where(self.weight > 0, prediction.values - self.values, 0.0)
-        return np.concatenate([(self.weight * known).ravel(), (theta - self.mean) / self.width])
-
-    def jacobian(self, prediction: Prediction) -> Float[np.ndarray, "residuals unknown"]:
-        """Return the derivatives of the residuals."""
-        slopes = np.where(self.weight[..., None] > 0, prediction.slopes, 0.0) * self.weight[..., None]
-        return np.concatenate([slopes.reshape(-1, len(self.mean)), np.diag(1 / self.width)])
-
-    def losses(self, valid: Rows) -> Float[np.ndarray, " values"]:
-        """Return further residuals: an observation without an orbit is off by its whole size."""
-        return np.where(valid[:, None], 0.0, self.weight * np.abs(self.values)).ravel()
-
-
 class Fit(NamedTuple):
-    """The end of one search: theta, its prediction, the target with the observations that have an orbit there.
+    """The end of one search: theta, its prediction, and the weights of the observations, 0 without an orbit there.
 
     - `cost`: sum of squares; `freedom`: number of values and priors minus number of unknowns.
     - `score`: the least score is the best, also among fits to different observations.
@@ -207,10 +178,14 @@ class Fit(NamedTuple):
 
     theta: Theta
     prediction: Prediction
-    target: Target
+    weight: Values
     cost: float
     freedom: int
     score: float
+
+    @property
+    def used(self) -> Rows:
+        return np.asarray((self.weight > 0).any(axis=1))
 
 
 class Model:
@@ -225,11 +200,9 @@ class Model:
             self._branch.evaluate(problem.points(theta[None])[[row]])
 
     def predict(self, theta: Theta) -> Prediction:
-        """Return the predictions at theta."""
         return self.predict_all(theta[None])[0]
 
     def predict_all(self, thetas: Thetas) -> list[Prediction]:
-        """Return the predictions at each row of `thetas`."""
         if self._last is not None and self._last[0] == thetas.tobytes():
             return self._last[1]
         problem, rows, history = self._problem, self._problem.rows, self._problem.history
@@ -259,9 +232,7 @@ class Model:
             velocity, derivatives = history.predict(by, thetas[:, own])
             values[:, rows:, -1], valid[:, rows:] = velocity, np.isfinite(velocity)
             slopes[:, rows:, -1, own] = derivatives
-        predictions = [
-            Prediction(np.nan_to_num(x), np.nan_to_num(d), ok) for x, d, ok in zip(values, slopes, valid, strict=True)
-        ]
+        predictions = [*map(Prediction, np.nan_to_num(values), np.nan_to_num(slopes), valid)]
         self._last = thetas.tobytes(), predictions
         return predictions
 
@@ -326,20 +297,21 @@ def fit_from(problem: Problem, model: Model, theta: Theta) -> Fit:
     """
     low, high = problem.free_of(problem.low), problem.free_of(problem.high)
     prediction = model.predict(theta)
-    target = problem.target(prediction.valid, problem.values)
+    weight = problem.weights(prediction.valid, problem.values)
     for number in range(MAX_ROUNDS):
-        if not target.used.any():
+        if not (weight > 0).any():
             break
 
-        def residuals(free: np.ndarray, target: Target = target) -> np.ndarray:
+        def residuals(free: np.ndarray, weight: Values = weight) -> np.ndarray:
             theta = problem.theta_of(free)
             trial = model.predict(theta)
-            return np.concatenate([target.residuals(trial, theta), target.losses(trial.valid)])
+            lost = np.where(~trial.valid[:, None] & (weight > 0), weight * np.abs(problem.values), 0.0)
+            return np.concatenate([problem.residuals(weight, trial, theta), lost.ravel()])
 
-        def jacobian(free: np.ndarray, target: Target = target) -> np.ndarray:
+        def jacobian(free: np.ndarray, weight: Values = weight) -> np.ndarray:
             theta = problem.theta_of(free)
-            slopes = target.jacobian(model.predict(theta)) * np.where(problem.low > 0, theta, 1.0)
-            return np.concatenate([slopes, np.zeros((target.values.size, len(theta)))])
+            slopes = problem.jacobian(weight, model.predict(theta)) * np.where(problem.low > 0, theta, 1.0)
+            return np.concatenate([slopes, np.zeros((weight.size, len(theta)))])
 
         with np.errstate(all="ignore"):  # no derivative is different from 0 if, say, the bit never slides
             solution = least_squares(
@@ -349,36 +321,36 @@ def fit_from(problem: Problem, model: Model, theta: Theta) -> Fit:
         theta = problem.theta_of(solution.x)
         prediction = model.predict(theta)
         # Observations come back in the first rounds only, so that the rounds end.
-        back = prediction.valid if number < MAX_ROUNDS // 2 else prediction.valid & target.used
-        new = problem.target(back, prediction.values)
-        if np.allclose(new.weight, target.weight, rtol=SAME_WEIGHTS, atol=0):
-            if problem.history is None or not (along := best_along_step(problem, model, target, theta))[1] > 0:
+        back = prediction.valid if number < MAX_ROUNDS // 2 else prediction.valid & (weight > 0).any(axis=1)
+        new = problem.weights(back, prediction.values)
+        if np.allclose(new, weight, rtol=SAME_WEIGHTS, atol=0):
+            if problem.history is None or not (along := best_along_step(problem, model, weight, theta))[1] > 0:
                 break
             theta = along[0]  # the search stalled at a kink
             prediction = model.predict(theta)
-        target = new
-    target = target._replace(weight=np.where(prediction.valid[:, None], target.weight, 0.0))
-    cost = float(np.sum(target.residuals(prediction, theta) ** 2))
-    values = int((target.weight > 0).sum())
+        weight = new
+    weight = np.where(prediction.valid[:, None], weight, 0.0)
+    cost = float(np.sum(problem.residuals(weight, prediction, theta) ** 2))
+    values = int((weight > 0).sum())
     freedom = values + int(np.isfinite(problem.prior_error).sum()) - len(theta)
     # Twice the negative log-likelihood, relative to values that have no orbit and may be anywhere within their size.
     if problem.errors is not None:
-        score = cost - 2 * float(np.log(np.fmax(np.abs(target.weight * target.values), 1.0)).sum())
+        score = cost - 2 * float(np.log(np.fmax(np.abs(weight * problem.values), 1.0)).sum())
     else:
         score = 2 * freedom * np.log(max(np.sqrt(cost / freedom), ORBIT_ERROR)) if freedom > 0 else np.inf
-    return Fit(theta, prediction, target, cost, freedom, score)
+    return Fit(theta, prediction, weight, cost, freedom, score)
 
 
-def best_along_step(problem: Problem, model: Model, target: Target, theta: Theta) -> tuple[Theta, float]:
+def best_along_step(problem: Problem, model: Model, weight: Values, theta: Theta) -> tuple[Theta, float]:
     """Return the best point on the step of Gauss and Newton, and by how much the sum of squares falls there.
 
     The sum of squares of a history has kinks, where an event passes a sample, at which a search may stall.
     """
     prediction = model.predict(theta)
-    residuals = target.residuals(prediction, theta)
-    step = -np.linalg.lstsq(target.jacobian(prediction), residuals)[0]
+    residuals, used = problem.residuals(weight, prediction, theta), (weight > 0).any(axis=1)
+    step = -np.linalg.lstsq(problem.jacobian(weight, prediction), residuals)[0]
     thetas = np.clip(theta + np.array(STEP_SHARES)[:, None] * step, problem.low, problem.high)
     pairs = zip(thetas, model.predict_all(thetas), strict=True)
-    costs = [float(np.sum(target.residuals(x, at) ** 2)) if x.valid[target.used].all() else np.inf for at, x in pairs]
+    costs = [float(np.sum(problem.residuals(weight, x, at) ** 2)) if x.valid[used].all() else np.inf for at, x in pairs]
     best = int(np.argmin(costs))
     return thetas[best], float(np.sum(residuals**2)) - costs[best]

@@ -1,7 +1,7 @@
 """The analysis `design`: the best drill under constraints and within tolerances; its dataset, picture and summary."""
 
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Any
@@ -11,18 +11,18 @@ import xarray as xr
 
 from vibrojax.errors import InputError, counted
 from vibrojax.io.variables import VARIABLES, Variable
-from vibrojax.maps.dataset import coordinates, shared_attributes
+from vibrojax.maps.dataset import coordinates, parameter_attributes, shared_attributes
 from vibrojax.maps.read import read_sweep
 from vibrojax.maps.sweep import Sweep
 from vibrojax.measures.labels import REGIMES, UNBOUNDED
-from vibrojax.pictures.axes import axis, label, margins, quantity_text, scale, symbols_of, value_text, values_along
+from vibrojax.pictures.axes import axis, label, margins, quantity_text, scale, value_text, values_along
 from vibrojax.pictures.colours import value_of
 from vibrojax.pictures.contents import POINT
 from vibrojax.pictures.plots import FAINT, Axis, Layer, Line, Plot, Points, Sheet, colours_of, dots
 from vibrojax.pictures.style import BIT, IMPACT
 from vibrojax.progress import Progress
 from vibrojax.studies.analysis import PictureRule, SummaryPart, analyse
-from vibrojax.studies.design_requirements import Assessment, DesignSpec, Front, extreme, infeasibility, read_design
+from vibrojax.studies.design_requirements import Assessment, DesignSpec, extreme, infeasibility, read_design
 from vibrojax.studies.design_search import Search
 from vibrojax.studies.subjects import FileAnalysis
 
@@ -56,10 +56,8 @@ def design_picture(ds: xr.Dataset) -> Sheet:
     columns = min(len(plots), 3)
     rows = -(-len(plots) // columns)
     plots = [replace(plot, place=divmod(k, columns)) for k, plot in enumerate(plots)]
-    best = ds.isel(candidate=0)
-    what = f"Best: {_best_text(ds, 4)} at {_place_text(best, names)}"
     required = str(ds.attrs.get("requirements", "")).replace(" ± ", "\u00a0±\u00a0")
-    about = margins(ds, point=f"{what}. Requirements: {required}")
+    about = margins(ds, point=f"Best: {_best_text(ds, names, 4)}. Requirements: {required}")
     return Sheet(plots, (1.9 + 3.6 * columns, 0.9 + 3.1 * rows), **about)
 
 
@@ -71,15 +69,14 @@ def _plane(ds: xr.Dataset, names: list[str]) -> Plot:
     values = value.of(ds).values[fit]
     colours = colours_of(values, value.colour_map, value.norm)
     squares = Points(x[fit], y[fit], colours, 4.7, "s", label="map: feasible, without tolerances", values=values)
-    layers: list[Layer] = [squares, *_infeasible(x[~fit], y[~fit])]
-    layers += _marks(values_along(ds[across]), values_along(ds[up]))
+    layers = [squares, *_marks(x[~fit], y[~fit], values_along(ds[across]), values_along(ds[up]))]
     widths = [float(ds.attrs.get(f"tolerance_{name}", 0.0)) * scale(ds[name])[0] for name in (across, up)]
     if max(widths[0] / np.ptp(x), widths[1] / np.ptp(y)) > _LEAST_BOX and all(widths):
         centre = values_along(ds[across])[0], values_along(ds[up])[0]
         corners = [-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]
         right, top = (c + w * np.array(k) for c, w, k in zip(centre, widths, corners, strict=True))
         layers.append(Line(right, top, IMPACT, 1.1, label="its tolerances", order=2.9))
-    return Plot(layers, axis(_named(ds, across)), axis(_named(ds, up)), scale=value)
+    return Plot(layers, axis(ds[across]), axis(ds[up]), scale=value)
 
 
 def _plot_along(ds: xr.Dataset, name: str) -> Plot:
@@ -88,9 +85,9 @@ def _plot_along(ds: xr.Dataset, name: str) -> Plot:
     z = ds["map_objective"].values * factor
     lowest = float(np.nanmin(np.concatenate([z[fit], ds["objective"].values * factor])))
     feasible = dots(x[fit], z[fit], colour=BIT, size=2.0, label="map: feasible, without tolerances")
-    layers = [feasible, *_infeasible(x[~fit], np.full((~fit).sum(), lowest))]
-    layers += _marks(values_along(ds[name]), ds["objective"].values * factor)
-    return Plot(layers, axis(_named(ds, name)), Axis(_objective_label(ds)))
+    below = np.full((~fit).sum(), lowest)
+    layers = [feasible, *_marks(x[~fit], below, values_along(ds[name]), ds["objective"].values * factor)]
+    return Plot(layers, axis(ds[name]), Axis(_objective_label(ds)))
 
 
 def _front_plot(ds: xr.Dataset) -> Plot:
@@ -105,39 +102,27 @@ def _front_plot(ds: xr.Dataset) -> Plot:
     return Plot(layers, axis(limit), Axis(_objective_label(ds)))
 
 
-def _infeasible(x: np.ndarray, y: np.ndarray) -> list[Layer]:
-    return [dots(x, y, marker="x", colour=FAINT, size=3.2, edge_width=0.8, label="map: not feasible")] if x.size else []
-
-
-def _marks(x: np.ndarray, y: np.ndarray) -> list[Layer]:
-    others: list[Layer] = [dots(x[1:], y[1:], face="none", label="other candidates")] if x.size > 1 else []
+def _marks(no_x: np.ndarray, no_y: np.ndarray, x: np.ndarray, y: np.ndarray) -> list[Layer]:
+    """Return the marks of points of the map that are not feasible, and of the candidates, the best one first."""
+    crosses: Layer = dots(no_x, no_y, marker="x", colour=FAINT, size=3.2, edge_width=0.8, label="map: not feasible")
+    others: Layer = dots(x[1:], y[1:], face="none", label="other candidates")
     star = {"marker": "*", "size": 9.0, "colour": IMPACT, "edge": "white", "edge_width": 0.6, "order": 3.0}
-    return [*others, dots(x[:1], y[:1], label="best candidate", **star)]
+    best: Layer = dots(x[:1], y[:1], label="best candidate", **star)
+    return [crosses] * bool(no_x.size) + [others] * (x.size > 1) + [best]
 
 
-def _place_text(candidate: xr.Dataset, names: Sequence[str]) -> str:
-    return ", ".join(value_text(_named(candidate, name), candidate[name].item()) for name in names)
-
-
-def _named(ds: xr.Dataset, name: str) -> xr.DataArray:
-    return ds[name].assign_attrs(symbol=symbols_of(ds).get(name, name))
-
-
-def _best_text(ds: xr.Dataset, digits: int = 5) -> str:
-    """Return the objective of the best candidate, and the worst within the tolerances."""
-    value, worst = (
-        quantity_text(float(ds[name][0]), ds["objective"], digits) for name in ("objective", "objective_worst")
-    )
-    if not any(str(key).startswith("tolerance_") for key in ds.attrs):
-        return value
-    return f"{value} (worst within the tolerances {worst})"
+def _best_text(ds: xr.Dataset, names: Sequence[str], digits: int = 5) -> str:
+    """Return the objective of the best candidate, the worst within the tolerances, and where the candidate is."""
+    values = ds["objective"][0], ds["objective_worst"][0]
+    value, worst = (quantity_text(float(x), ds["objective"], digits) for x in values)
+    if any(str(key).startswith("tolerance_") for key in ds.attrs):
+        value = f"{value} (worst within the tolerances {worst})"
+    return f"{value} at {', '.join(value_text(ds[name], ds[name][0].item()) for name in names)}"
 
 
 def _objective_label(ds: xr.Dataset) -> str:
-    about = ds["map_objective"].assign_attrs(
-        long_name=str(ds["map_objective"].attrs["long_name"]).partition(" on the")[0]
-    )
-    return label(about)
+    long_name = str(ds["map_objective"].attrs["long_name"]).partition(" on the")[0]
+    return label(ds["map_objective"].assign_attrs(long_name=long_name))
 
 
 class Designs(FileAnalysis[DesignSpec]):
@@ -184,54 +169,54 @@ class Designs(FileAnalysis[DesignSpec]):
         return self._dataset(search, points, results, front)
 
     def _dataset(
-        self,
-        search: Search,
-        points: Sequence[Assessment],
-        results: Sequence[Assessment],
-        front: Sequence[tuple[float, Assessment]],
+        self, search: Search, points: list[Assessment], results: list[Assessment], front: list[tuple[float, Assessment]]
     ) -> xr.Dataset:
-        """Return the dataset of the candidates, best first, with the map and the front."""
-        spec, sweep = search.spec, search.spec.template
-        of = spec.variable
-        nominal = of(spec.maximise, "{} at the nominal point, worst over the starts")
-        worst = of(spec.maximise, "least {} of the samples of the tolerances, from all starts")
-        over_map = of(spec.maximise, "{} on the map, worst over the starts; NaN: not feasible")
+        spec, sweep, of = search.spec, search.spec.template, search.spec.column
+        best, box, worst = spec.maximise, "samples of the tolerances", [a.worst for a in results]
+        nominal = "at the nominal point, worst over the starts"
         data: dict[str, Any] = {
-            "objective": nominal.entry("candidate", [a.objective for a in results]),
-            "objective_worst": worst.entry("candidate", [a.worst for a in results]),
+            "objective": of("candidate", best, f"{{}} {nominal}", [a.objective for a in results]),
+            "objective_worst": of("candidate", best, f"least {{}} of the {box}, from all starts", worst),
         }
         for name, end in {c.variable: c.end for c in spec.constraints}.items():
-            for key, rows, words in (
-                (name, slice(1), "{}, at the nominal point, worst over the starts"),
-                (f"{name}_worst", slice(None), "{}, worst of the samples of the tolerances"),
-            ):
-                data[key] = of(name, words).entry("candidate", [extreme(a.held(name, rows), end) for a in results])
+            for key, rows, words in ((name, slice(1), nominal), (f"{name}_worst", slice(None), f"worst of the {box}")):
+                data[key] = of("candidate", name, f"{{}}, {words}", [extreme(a.held(name, rows), end) for a in results])
         if spec.regime is not None:
             required = REGIMES.index(spec.regime)
-            words = "first regime other than the required one at the samples of the tolerances, else the required one"
-            first_other = Variable("1", words, np.int8, REGIMES)
-            for name, rows, variable in (
+            words = f"first regime other than the required one at the {box}, else the required one"
+            for key, rows, about_regime in (
                 ("regime", slice(1), VARIABLES["regime"]),
-                ("regime_worst", slice(None), first_other),
+                ("regime_worst", slice(None), replace(VARIABLES["regime"], long_name=words)),
             ):
                 regimes = [a.lanes["regime"][rows] for a in results]
-                data[name] = variable.entry("candidate", [[*x[x != required], required][0] for x in regimes])
+                data[key] = about_regime.entry("candidate", [[*x[x != required], required][0] for x in regimes])
         unbounded = [np.isin(a.lanes["regime"], UNBOUNDED) if "regime" in a.lanes else np.zeros(1) for a in results]
+        over_map = [a.objective if a.feasible else np.nan for a in points]
         data |= {
-            "share": ("candidate", [a.good[0].mean() for a in results]),
-            "share_worst": ("candidate", [a.good.mean(axis=1).min() for a in results]),
+            "share": ("candidate", [a.share[0] for a in results]),
+            "share_worst": ("candidate", [a.share.min() for a in results]),
             "feasible": ("candidate", [a.feasible for a in results]),
             "irregular_share": ("candidate", [x.mean() for x in unbounded]),
             "gradient": (("candidate", "parameter"), [search.gradient(a) for a in results]),
             "map_feasible": ("map", [a.feasible for a in points]),
-            "map_objective": over_map.entry("map", [a.objective if a.feasible else np.nan for a in points]),
+            "map_objective": of("map", best, "{} on the map, worst over the starts; NaN: not feasible", over_map),
         }
-        data |= {} if spec.front is None else _front_columns(spec, spec.front, front)
-        about: dict[str, Any] = {"maximise": spec.maximise, "requirements": spec.requirements()}
+        about: dict[str, Any] = {"maximise": best, "requirements": spec.requirements()}
         about |= {f"tolerance_{name}": width for name, width in spec.tolerances.items()}
         about |= {"robust": 1} if spec.robust else {}
-        about |= {} if spec.front is None else {"against": spec.front.against}
-        parameters = sweep.system.parameters()
+        if spec.front is not None:
+            about["against"] = against = spec.front.against
+            limits, found = zip(*front, strict=True)
+            factor = Variable("1", "factor of the tolerances").entry("front", limits)
+            data["front_limit"] = factor if against == "tolerance" else of("front", against, "limit of {}", limits)
+            feasible = [a.feasible for a in found]
+            reached = {"objective": [a.objective for a in found], "objective_worst": [a.worst for a in found]}
+            if against != "tolerance":
+                reached[against] = [extreme(a.held(against, slice(1)), spec.front.end) for a in found]
+            for key, x in reached.items():
+                name = against if key == against else best
+                data[f"front_{key}"] = of("front", name, "{}", np.where(feasible, x, np.nan))
+            data["front_feasible"] = "front", feasible
         coords: dict[str, Any] = {"parameter": ("parameter", list(spec.bounds), {"long_name": "varied parameter"})}
         for prefix, dim, own in (
             ("", "candidate", [a.unit for a in results]),
@@ -239,26 +224,23 @@ class Designs(FileAnalysis[DesignSpec]):
             ("front_", "front", [np.where(a.feasible, a.unit, np.nan) for _, a in front]),
         ):
             for k, name in enumerate(spec.bounds if own else ()):
-                known = parameters.get(name)
-                variable = Variable("1", name) if known is None else Variable(known.unit, known.long_name)
-                column = variable.entry(dim, spec.low[k] + np.array(own)[:, k] * spec.width[k])
-                (data if prefix == "front_" else coords)[prefix + name] = column
+                column = spec.low[k] + np.array(own)[:, k] * spec.width[k]
+                entry = dim, column, parameter_attributes(sweep, name)
+                (data if prefix == "front_" else coords)[prefix + name] = entry
         title = str(sweep.title or f"Design of {sweep.scene}: greatest {spec.variables[spec.maximise].long_name}")
         about |= {"scene": sweep.scene, "design": spec.text}
         about |= {"lanes": search.counts["lanes"], "orbit_solves": search.counts["orbits"]}
         return self.dataset(data, coords, title=title, **about)
 
     def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
-        """Return the candidates as points of a sweep, with their variables."""
         tables = tomllib.loads(str(ds.attrs.get("design", "")))
         if "scene" not in tables:
             return None
         points = {str(name): ds[str(name)].values.tolist() for name in ds["parameter"].values}
-        own: dict[str, Any] = {
-            name: tables[name] for name in ("scene", "parameters", "starts", "run") if name in tables
-        }
+        own: dict[str, Any] = {"points": points, "unusual": True}
+        own |= {name: tables[name] for name in ("scene", "parameters", "starts", "run") if name in tables}
         try:
-            sweep = read_sweep({**own, "points": points, "unusual": True})
+            sweep = read_sweep(own)
         except InputError:  # a system without a name
             return None
         names = [name for name in ds.data_vars if ds[name].dims == ("candidate",)]
@@ -266,22 +248,21 @@ class Designs(FileAnalysis[DesignSpec]):
         return lanes.assign_attrs(shared_attributes(sweep, self.kind, str(ds.attrs.get("title", "")), self.kind)), sweep
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return the best candidate, its worst values within the tolerances, the other candidates, and the front."""
         best = ds.isel(candidate=0)
         names = [str(name) for name in ds["parameter"].values]
         what = str(ds.attrs.get("maximise", "objective")).replace("_", " ")
         share = float(best["irregular_share"]) if "irregular_share" in best else 0.0
-        lines = [
-            f"irregular motions within the tolerances ({100 * share:.3g} % of the lanes): worst values depend on the "
-            "time of observation"
-        ] * (share > 0)
-        lines.append(f"{what} {_best_text(ds)} at {_place_text(best, names)}")
+        irregular = f"irregular motions within the tolerances ({100 * share:.3g} % of the lanes)"
+        lines = [f"{irregular}: worst values depend on the time of observation"] * (share > 0)
+        lines.append(f"{what} {_best_text(ds, names)}")
         lines.append(f"  requirements: {ds.attrs.get('requirements', '')}")
-        for name in _subject(ds):
-            worst = quantity_text(float(best[f"{name}_worst"]), ds[name])
-            lines.append(f"  {name.replace('_', ' ')} {quantity_text(float(best[name]), ds[name])}, worst {worst}")
-        on_map = float(ds["map_objective"].max()) if ds["map_objective"].notnull().any() else np.nan
-        if np.isfinite(on_map):
+        known = [str(name) for name in ds.data_vars if ds[name].dims == ("candidate",) and f"{name}_worst" in ds]
+        of_subject = [name for name in known if name not in ("objective", "regime", "share")]
+        subject = {name: {"nominal": float(best[name]), "worst": float(best[f"{name}_worst"])} for name in of_subject}
+        for name, ends in subject.items():
+            nominal, worst = (quantity_text(x, ds[name]) for x in ends.values())
+            lines.append(f"  {name.replace('_', ' ')} {nominal}, worst {worst}")
+        if np.isfinite(on_map := float(ds["map_objective"].max())):
             lines.append(f"  best point of the map: {quantity_text(on_map, ds['objective'])}, without tolerances")
         if ds.sizes["candidate"] > 1:
             others = ", ".join(quantity_text(float(x), ds["objective"]) for x in ds["objective"][1:])
@@ -291,42 +272,12 @@ class Designs(FileAnalysis[DesignSpec]):
             "objective": float(best["objective"]),
             "objective_worst": float(best["objective_worst"]),
             "at": {name: float(best[name]) for name in names},
-            "subject": {
-                name: {"nominal": float(best[name]), "worst": float(best[f"{name}_worst"])} for name in _subject(ds)
-            },
+            "subject": subject,
         }
         if "front" in ds.dims:
-            known = int((ds["front_feasible"] == 1).sum())
-            points = f"{known} of {ds.sizes['front']} points feasible"
+            points = f"{int((ds['front_feasible'] == 1).sum())} of {ds.sizes['front']} points feasible"
             lines.append(f"  front against {ds.attrs.get('against', '')}: {points}")
         return [SummaryPart("design", lines, {"design": facts})]
-
-
-def _front_columns(spec: DesignSpec, front: Front, assessed: Sequence[tuple[float, Assessment]]) -> dict[str, Any]:
-    """Return the variables along a front but the varied parameters; NaN where no feasible point was found."""
-
-    def known(value: Callable[[Assessment], float]) -> list[float]:
-        return [value(a) if a.feasible else np.nan for _, a in assessed]
-
-    against, objective = front.against, spec.variable(spec.maximise)
-    is_factor = against == "tolerance"
-    limit = Variable("1", "factor of the tolerances") if is_factor else spec.variable(against, "limit of {}")
-    feasible = DESIGN_VARIABLES["front_feasible"]
-    data = {
-        "front_limit": limit.entry("front", [value for value, _ in assessed]),
-        "front_objective": objective.entry("front", known(lambda a: a.objective)),
-        "front_objective_worst": objective.entry("front", known(lambda a: a.worst)),
-        "front_feasible": feasible.entry("front", [a.feasible for _, a in assessed]),
-    }
-    if not is_factor:
-        reached = known(lambda a: extreme(a.held(against, slice(1)), front.end))
-        data[f"front_{against}"] = spec.variable(against).entry("front", reached)
-    return data
-
-
-def _subject(ds: xr.Dataset) -> list[str]:
-    own = (str(name) for name in ds.data_vars if ds[name].dims == ("candidate",))
-    return [name for name in own if f"{name}_worst" in ds and name not in ("objective", "regime", "share")]
 
 
 def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool = True) -> xr.Dataset:
@@ -346,14 +297,11 @@ def design(source: str | PathLike[str] | Mapping[str, object], *, progress: bool
 
     **Returns:** a dataset along `candidate`, in which the best candidate comes first:
 
-    - For each candidate: the varied parameters. `objective` is the maximised variable at the nominal point, from the
-      worst start. `objective_worst`, by which robust designs are ranked, is the worst objective over the tolerance box.
-      Each variable NAME in `subject` has its nominal value in `NAME`, and its worst value over the samples in
-      `NAME_worst`. `feasible` is 1 if all samples meet all requirements.
-    - `gradient` along `parameter`: derivative of the objective with respect to each parameter.
-    - Variables along `front`, if the design has the entry `front`: `front_limit` (the limit that is varied),
-      `front_objective` (the best value within this limit) and the varied parameters.
-    - Variables along `map`: the points and values of the coarse map, where the search begins.
+    - For each candidate: the parameters; `objective`, the maximised variable at the nominal point, worst over the
+      starts; `objective_worst`, by which robust designs are ranked; each variable NAME in `subject`, with its worst
+      value over the samples in `NAME_worst`; and `gradient`, the derivative of the objective by each `parameter`.
+    - Along `front`, if the design has that entry: `front_limit` (the limit that is varied), `front_objective` (the best
+      value within this limit) and the varied parameters. Along `map`: the coarse map, where the search begins.
 
     **Raises:** `InputError` if the design is invalid, if no point is feasible, or if the objective is 0 at all feasible
     points.

@@ -1,7 +1,7 @@
 """Requirements of a design: its file, the assessment of a point by its lanes, and why no point is feasible."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from functools import cached_property
 from os import PathLike
 from typing import Any, ClassVar
@@ -14,6 +14,7 @@ from vibrojax.errors import InputError, Place, counted, shown, suggestion
 from vibrojax.io.variables import Variable
 from vibrojax.lanes.labels import sweep_variables
 from vibrojax.maps.bounds import MAX_TOLERANCES, VariedFile, read_bounds, read_file
+from vibrojax.maps.dataset import parameter_attributes
 from vibrojax.maps.read import read_parameters
 from vibrojax.maps.sweep import Sweep, with_substitutes
 from vibrojax.measures.labels import REGIMES
@@ -28,28 +29,15 @@ from vibrojax.settings.values import STATE, as_table, choice, count, known_keys,
 Unit = Float[np.ndarray, " varied"]
 Points = Float[np.ndarray, "points varied"]
 Offsets = Float[np.ndarray, "samples tolerances"]
+Bounds = dict[str, tuple[float, float]]
 Lanes = dict[str, np.ndarray]
 """Variables of lanes by name, arrays (points or samples, starts, ...)."""
 
-MARGIN = 2.0
-"""Tightening of a limit, in units of the accepted relative error of a lane: other runs of the point meet it, too."""
-
-DRAWN_BOX = 1.04
-"""Size of the box from which verification draws, relative to the tolerances: what holds there holds in the box."""
-
-FRONT_POINTS = 20
-"""Default number of points of a front."""
-
-TOLERANCE_SPAN = (0.0, 2.0)
-"""Default range of the factor of the tolerances."""
-
-COMPLEX_STEP = 1e-20
-"""Imaginary step by which substitutions of parameters are differentiated, without rounding errors."""
-
+MARGIN = 2.0  # of a limit, in units of the accepted relative error of a lane: other runs of the point meet it, too
+DRAWN_BOX = 1.04  # from which verification draws, relative to the tolerances: what holds there holds in the box
+COMPLEX_STEP = 1e-20  # imaginary, by which substitutions of parameters are differentiated without rounding errors
 HALF_WIDTH = Parameter("half-width", 1.0, "1", "half-width of a tolerance", "w", lowest=0.0, open_below=True)
-
-_COUNTS = {"impacts", "striker_turns"}
-"""Variables that are stored as floats but are whole numbers, whose limits are not tightened."""
+_COUNTS = {"impacts", "striker_turns"}  # whole numbers that are stored as floats, whose limits are not tightened
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,13 +81,17 @@ class Constraint:
 
     @property
     def scale(self) -> float:
-        """Unit of the slack."""
         return abs(self.limit) or 1.0
 
     @property
     def sign(self) -> float:
-        """Sign of the slack's derivative with respect to the variable."""
         return -1.0 if self.end == "most" else 1.0
+
+
+def tightened(variables: Mapping[str, Variable], name: str, end: str, limit: float, error: float) -> Constraint:
+    """Return a limit of a variable, which is tightened unless the variable counts; `error`: accepted one of a lane."""
+    is_smooth = variables[name].dtype == np.float64 and name not in _COUNTS
+    return Constraint(name, end, limit, MARGIN * error * is_smooth * abs(limit))
 
 
 @dataclass(frozen=True)
@@ -129,7 +121,7 @@ class DesignSpec:
     template: Sweep
     maximise: str
     robust: bool
-    bounds: dict[str, tuple[float, float]]
+    bounds: Bounds
     tolerances: dict[str, float]
     fixed: dict[str, float]
     regime: str | None
@@ -140,12 +132,10 @@ class DesignSpec:
 
     @cached_property
     def low(self) -> Unit:
-        """Least values of the varied parameters."""
         return np.array([low for low, _ in self.bounds.values()])
 
     @cached_property
     def width(self) -> Unit:
-        """Distances between the bounds of the varied parameters."""
         return np.array([high - low for low, high in self.bounds.values()])
 
     @property
@@ -154,11 +144,16 @@ class DesignSpec:
         against = (self.front.against,) if self.front is not None and self.front.against != "tolerance" else ()
         return tuple(dict.fromkeys((self.maximise, *(c.variable for c in self.constraints), *against)))
 
-    @property
-    def without_front_limit(self) -> tuple[Constraint, ...]:
-        """The constraints without that of the variable against which the front is drawn."""
-        own = self.front and (self.front.against, self.front.end)
-        return tuple(c for c in self.constraints if (c.variable, c.end) != own)
+    def within(self, limit: float | None) -> "DesignSpec":
+        """Return the design with another limit, or none, of the variable against which the front is drawn."""
+        front = self.front
+        assert front is not None
+        if front.against == "tolerance":
+            return replace(self, tolerances={name: (limit or 0) * x for name, x in self.tolerances.items() if limit})
+        kept = [c for c in self.constraints if (c.variable, c.end) != (front.against, front.end)]
+        if limit is not None:
+            kept.append(tightened(self.variables, front.against, front.end, limit, self.template.run.error))
+        return replace(self, constraints=(*kept,))
 
     def columns(self, unit: Points, offsets: Float[np.ndarray, "points tolerances"]) -> dict[str, np.ndarray]:
         """Return the parameters of points: nominal values in the unit box, and offsets in half-widths."""
@@ -187,28 +182,24 @@ class DesignSpec:
                 chain[parameter][:, k] = np.imag(x) / COMPLEX_STEP
         return values, {name: slope for name, slope in chain.items() if slope.any()}
 
-    def variable(self, name: str, words: str = "{}") -> Variable:
-        """Return unit and meaning of a variable of the dataset; `words`: its meaning, with {} for that of `name`."""
-        return Variable(self.variables[name].units, words.format(self.variables[name].long_name))
+    def column(self, dim: str, name: str, words: str, values: Any) -> tuple[Any, ...]:
+        """Return values of a variable of the lanes as a variable of the dataset; `words`: its meaning, with {}."""
+        about = self.variables[name]
+        return Variable(about.units, words.format(about.long_name)).entry(dim, values)
 
     def amount(self, name: str, value: float) -> str:
-        """Return a value of a variable with its unit."""
-        unit = self.variables[name].units
-        return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
+        return f"{value:.6g} {self.variables[name].units}".removesuffix(" 1")
 
     def requirements(self) -> str:
-        """Return the subject of the design in one line of text."""
         words = [f"regime {self.regime}"] if self.regime else []
         for c in self.constraints:
             limit = xr.DataArray(c.limit, attrs={"units": self.variables[c.variable].units})
             words.append(f"{c.variable.replace('_', ' ')} at {c.end} {quantity_text(c.limit, limit)}")
         if self.share is not None:
             words.append(f"share of starts {self.share[0]:g} to {self.share[1]:g}")
-        parameters = self.template.system.parameters()
         for name, width in self.tolerances.items():
-            about = parameters.get(name)
-            half = quantity_text(width, xr.DataArray(width, attrs={"units": about.unit if about else "1"}))
-            words.append(f"{about.symbol if about else name} ± {half}")
+            about = parameter_attributes(self.template, name)
+            words.append(f"{about['symbol']} ± {quantity_text(width, xr.DataArray(width, attrs=about))}")
         return "; ".join(words) or "none"
 
 
@@ -229,7 +220,7 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     options = {name: x for name, x in file.parameters.items() if name in names.options}
     numbers = {name: x for name, x in file.parameters.items() if name not in options}
     parameters: dict[str, Any] = read_parameters(place.at("parameters"), numbers, names)
-    tolerances, fixed = _read_tolerances(place.at("tolerance"), file.tolerance, names, parameters, bounds, file.unusual)
+    tolerances, fixed = _read_tolerances(place.at("tolerance"), file, names, parameters, bounds)
     along = ("", "multiplier")  # one value per lane, or along multipliers
     known = {name: about for name, about in sweep_variables(names.system).items() if about.along in along}
     smooth = [name for name in known if known[name].dtype == np.float64]
@@ -245,12 +236,10 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
     points = {name: [*ends] for name, ends in bounds.items()} | {name: [x, x] for name, x in fixed.items()}
     rest = options | {name: x for name, x in parameters.items() if name not in fixed}
     template = file.sweep(origin.file, points, parameters=rest, run=run)
-    here, share, constraints = place.at("subject"), None, list[Constraint]()
-    regime = file.subject.get("regime")
-    if regime is not None:
-        choice(here.at("regime"), regime, REGIMES)
+    here, share, constraints, regime = place.at("subject"), None, list[Constraint](), None
     for name, entry in file.subject.items():
         if name == "regime":
+            regime = choice(here.at(name), entry, REGIMES)
             continue
         if name != "share" and name not in known:
             raise here.at(name).error(_unknown_variable(name, names.scene, ("share", *known)))
@@ -259,23 +248,21 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
             raise here.at(name).error(fault)
         limits = Limits.read(here.at(name), entry)
         ends = {end: x for end, x in (("least", limits.least), ("most", limits.most)) if x is not None}
-        if name == "share":
-            share = ends.get("least", 0.0), ends.get("most", 1.0)
-            if not 0 <= share[0] <= share[1] <= 1:
-                raise here.at(name).error(f"{share[0]:g} to {share[1]:g} is not a range of shares between 0 and 1")
+        if name != "share":
+            constraints += [tightened(known, name, end, x, template.run.error) for end, x in ends.items()]
             continue
-        margin = MARGIN * template.run.error * (name in smooth and name not in _COUNTS)
-        constraints += [Constraint(name, end, limit, margin * abs(limit)) for end, limit in ends.items()]
+        share = ends.get("least", 0.0), ends.get("most", 1.0)
+        if not 0 <= share[0] <= share[1] <= 1:
+            raise here.at(name).error(f"{share[0]:g} to {share[1]:g} is not a range of shares between 0 and 1")
     if share is not None and not names.has_starts:
         raise here.at("share").error(f"scene {shown(names.scene)} has no starts; leave it out")
     if regime is not None and template.system.section is None:
         raise here.at("regime").error(f"motions of scene {shown(names.scene)} have no regimes")
     front = None if file.front is None else _read_front(place.at("front"), file.front, known, constraints)
     if front is not None and front.against == "tolerance" and not tolerances:
-        raise place.at("front").at("against").error("there is no [tolerance] to scale; add one")
+        raise place.at("front.against").error("there is no [tolerance] to scale; add one")
     if front is not None and front.against == maximise:
-        fault = f"{shown(maximise)} is what is maximised; name another variable"
-        raise place.at("front").at("against").error(fault)
+        raise place.at("front.against").error(f"{shown(maximise)} is what is maximised; name another variable")
     return DesignSpec(
         place=place, text=origin.text, template=template, maximise=maximise, robust=file.robust, bounds=bounds,
         tolerances=tolerances, fixed=fixed, regime=regime, share=share, constraints=(*constraints,), front=front,
@@ -284,19 +271,14 @@ def read_design(source: str | PathLike[str] | Mapping[str, object]) -> DesignSpe
 
 
 def _read_tolerances(
-    place: Place,
-    table: Mapping[str, Any],
-    names: Names,
-    parameters: Mapping[str, float],
-    bounds: Mapping[str, tuple[float, float]],
-    unusual: bool,
+    place: Place, file: DesignFile, names: Names, parameters: Mapping[str, float], bounds: Bounds
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the half-widths by name, and the nominal values of the parameters that are not varied."""
-    if len(table) > MAX_TOLERANCES:
-        raise place.error(f"{len(table)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
+    if len(file.tolerance) > MAX_TOLERANCES:
+        raise place.error(f"{len(file.tolerance)} parameters have a tolerance; give at most {MAX_TOLERANCES}")
     widths, fixed = {}, {}
     followed = names.substituted({*bounds, *parameters})
-    for name, given_width in table.items():
+    for name, given_width in file.tolerance.items():
         here, about = place.at(name), names.parameter(place.at(name), name)
         width = widths[name] = quantity(here, given_width, HALF_WIDTH)
         if name not in bounds:
@@ -307,7 +289,7 @@ def _read_tolerances(
         for end in (low - DRAWN_BOX * width, high + DRAWN_BOX * width):
             if problem := about.problem(end):
                 raise here.error(f"{width:g} is too wide at {name} = {low:g}: {problem}")
-        if not unusual:
+        if not file.unusual:
             warn_if_far(here, about, high + width, meant="; unusual = true says that it is meant")
     return widths, fixed
 
@@ -328,7 +310,7 @@ def _read_front(
         if span[0] == span[1]:
             raise place.at("from").error(f"{span[0]:g} to {span[1]:g} is no interval")
     end = next((c.end for c in constraints if c.variable == against), "most")
-    return Front(against, end, count(place.at("points"), table.get("points", FRONT_POINTS), 2, 200), span)
+    return Front(against, end, count(place.at("points"), table.get("points", 20), 2, 200), span)
 
 
 class Assessment:
@@ -338,6 +320,7 @@ class Assessment:
     - `lanes`: all variables; `values`: those that the design names, of arrays the greatest.
     - `fit`, `good` (samples, starts): lanes in the regime, and those that meet the limits as well.
     - `slack` (constraints, samples, starts): distance to the tightened limit, relative to the limit.
+    - `share` (samples): share of good starts, and `missed`: by how much it is outside the required range.
     - `objective`, `worst`: of the good lanes at the nominal point, and at all samples; NaN if there are none.
     - `badness`: 0 if all requirements hold, else a measure of the violations. `rank`: order from best to worst.
     """
@@ -355,13 +338,15 @@ class Assessment:
         slack = np.array([c.slack(self.values[c.variable]) for c in spec.constraints]).reshape(-1, *fit.shape)
         self.fit, self.slack = fit, np.where(np.isnan(slack) & fit, -1.0, slack)
         self.good = fit & (self.slack >= 0).all(axis=0)
+        least, most = spec.share or (1.0, 1.0)
+        self.share = self.good.mean(axis=1)
+        self.missed = np.maximum(np.maximum(least - self.share, self.share - most), 0.0)
         if spec.share is None:
             # Of two points that fail, one in the regime is better than one outside, whatever its violations.
             violation = np.where(fit, np.maximum(-self.slack, 0.0), 0.0).max(axis=(1, 2), initial=0.0)
             badness = (len(slack) + 1) * float((~fit).mean()) + float((violation / (1 + violation)).sum())
         else:
-            share = self.good.mean(axis=1)
-            badness = float(np.maximum(np.maximum(spec.share[0] - share, share - spec.share[1]), 0.0).max())
+            badness = float(self.missed.max())
             badness = badness if self.good[0].any() or badness > 0 else 1.0
         used = self.good if self.good[0].any() else fit
         self.objective = extreme(objective[:1][used[:1]], "least")
@@ -371,7 +356,6 @@ class Assessment:
 
     @property
     def feasible(self) -> bool:
-        """True if every requirement holds in every sample."""
         return self.badness == 0
 
     @property
@@ -386,14 +370,7 @@ class Assessment:
         return chosen
 
     @property
-    def violated(self) -> list[Constraint]:
-        """The violated constraints, the worst first."""
-        slack = np.where(self.fit, self.slack, np.inf).min(axis=(1, 2))
-        return [self.spec.constraints[j] for j in np.argsort(slack) if slack[j] < 0]
-
-    @property
     def nominal(self) -> Lanes:
-        """The lanes of the nominal point."""
         return {name: x[:1] for name, x in self.lanes.items()}
 
     def held(self, name: str, rows: slice = slice(None)) -> np.ndarray:
@@ -416,15 +393,13 @@ def infeasibility(spec: DesignSpec, points: Sequence[Assessment], checked: Seque
     fit, others, sample = nearest.fit, "", 0
     if spec.share is not None:
         name, required = "share", f"least {spec.share[0]:g}, most {spec.share[1]:g}"
-        share = nearest.good.mean(axis=1)
-        sample = int(np.maximum(spec.share[0] - share, share - spec.share[1]).argmax())
-        reached = f"{share[sample]:.3g}"
-    elif fit.any() and nearest.violated:
-        limit = nearest.violated[0]
+        sample = int(nearest.missed.argmax())
+        reached = f"{nearest.share[sample]:.3g}"
+    elif fit.any() and (slack := np.where(fit, nearest.slack, np.inf)).min(initial=np.inf) < 0:
+        worst, sample, start = map(int, np.unravel_index(slack.argmin(), slack.shape))
+        limit = spec.constraints[worst]
         name, required = limit.variable, f"{limit.end} {spec.amount(limit.variable, limit.limit)}"
-        slack = np.where(fit, nearest.slack[spec.constraints.index(limit)], np.inf)
-        sample = int(slack.min(axis=1).argmin())
-        reached = spec.amount(limit.variable, float(nearest.values[limit.variable][sample, slack[sample].argmin()]))
+        reached = spec.amount(name, float(nearest.values[name][sample, start]))
     else:
         sample = int(fit.all(axis=1).argmin())
         name = "regime" if spec.regime else spec.maximise

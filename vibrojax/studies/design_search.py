@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -19,58 +20,46 @@ from vibrojax.maps.bounds import corners, draws
 from vibrojax.maps.run import run_sweep
 from vibrojax.periodic.derivatives import MODULUS, OrbitFeatures, orbit_variables
 from vibrojax.periodic.orbits import Orbits, orbits_of
-from vibrojax.studies.design_requirements import (
-    DRAWN_BOX,
-    MARGIN,
-    TOLERANCE_SPAN,
-    Assessment,
-    Constraint,
-    DesignSpec,
-    Lanes,
-    Offsets,
-    Points,
-    Unit,
-    extreme,
-)
+from vibrojax.studies.design_requirements import DRAWN_BOX, Assessment, DesignSpec, Lanes, Offsets, Unit, extreme
 
+# The map: points per axis of a grid for one and two varied parameters; for more, Sobol points, doubled until enough of
+# them are feasible.
 MAP_AXIS = {1: 33, 2: 16}
-"""Points per axis of the map for one and two varied parameters, which make a grid."""
-
 FIRST_SAMPLE, LARGEST_SAMPLE, ENOUGH_FEASIBLE = 64, 2048, 8
-"""Sobol points of the map for more varied parameters: doubled until enough of them are feasible."""
 
-SEEDS, TRIED_SEEDS, RESULTS = 8, 24, 3
-"""Seeds from which SLSQP begins, points compared over their boxes to choose them, and candidates that are kept."""
+TRIED_SEEDS, SEEDS, RESULTS = 24, 8, 3  # points compared over their boxes, those where SLSQP begins, candidates kept
+APART, SAME_POINT = 0.12, 0.01  # distances in the unit box (greatest coordinate): least of seeds; of equal candidates
 
-APART = 0.12
-"""Least distance between two seeds in the unit box (greatest coordinate)."""
-
-MAX_CORNERS = 16
-"""Largest number of corners in the search; verification has all."""
-
-DRAWS, NEAR_WIDTHS, NEAR_DRAWS = 256, (0.25, 0.06), 16
-"""Draws of verification; half-widths of the regions around the worst samples, and draws in each of these."""
-
-ZOOM_ROUNDS, ZOOM_PROPOSALS, ZOOM_ELITE = 24, (32, 64), 8
-"""Rounds of the zoom, proposals in each with up to two and with more parameters, and points that shape the next."""
-
-ZOOM_LEAST_SPREAD, ZOOM_GAIN, ZOOM_PATIENCE = 1e-5, 1e-6, 3
-"""The zoom ends below this spread in the unit box, or after some rounds without this relative gain."""
-
+# Verification, and its repairs: failing samples that each round adds to the box of the search, and radius of the zoom.
+MAX_CORNERS = 16  # in the search; verification has all
+DRAWS, NEAR_WIDTHS, NEAR_DRAWS = 256, (0.25, 0.06), 16  # half-widths of regions around the worst samples, and draws
 MAX_REPAIRS, ADDED_SAMPLES, REPAIR_RADIUS = 4, 4, 0.01
-"""Rounds of verification and zoom, failing samples that each adds to the box of the search, and radius of the zoom."""
 
-CHECK_RADIUS, WARM_RADIUS = 0.0025, 0.02
-"""Radii in the unit box within which lanes check an optimum of SLSQP, and search for a point of a front."""
+# The zoom: proposals with up to two and with more parameters, and points that shape the next ones. It ends below a
+# spread in the unit box, or after some rounds without a relative gain.
+ZOOM_ROUNDS, ZOOM_PROPOSALS, ZOOM_ELITE = 24, (32, 64), 8
+ZOOM_LEAST_SPREAD, ZOOM_GAIN, ZOOM_PATIENCE = 1e-5, 1e-6, 3
+CHECK_RADIUS, WARM_RADIUS = 0.0025, 0.02  # in the unit box, of a check of SLSQP's optimum, and of a point of a front
 
-DIFFERENCE_STEP = 1e-5
-"""Step of central differences of lanes in the unit box."""
+DIFFERENCE_STEP = 1e-5  # of central differences of lanes in the unit box
+TOLERANCE_SPAN = (0.0, 2.0)  # default range of the factor of the tolerances
+
+# SLSQP maximises in a box around the best point so far; the next box begins at the best point of all.
+SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
+FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.1, 0.2, 1e-3  # half-widths of the boxes in the unit box
+INSIDE = 1e-6  # slack that it keeps, which covers its own tolerance
+LEAST_STEP = 1 / 16  # of the way to another point: beyond it, SLSQP tries a nearer point
+ORBIT_REACH = 1.0  # distance in half swings from the prediction beyond which no orbit is searched
+LARGEST_MODULUS = 0.98  # of a multiplier: nearer to 1, an orbit is about to lose its stability
+
+
+by_rank = attrgetter("rank")
 
 
 def distinct(candidates: Sequence[Assessment], distance: float, most: int) -> list[Assessment]:
     """Return the best candidates that are apart from one another, best first."""
     kept: list[Assessment] = []
-    for a in sorted(candidates, key=lambda a: a.rank):
+    for a in sorted(candidates, key=by_rank):
         if len(kept) < most and all(np.abs(a.unit - other.unit).max() >= distance for other in kept):
             kept.append(a)
     return kept
@@ -90,7 +79,7 @@ class Search:
         self.box = np.concatenate([self.centre, DRAWN_BOX * few])
         self.optima: list[Unit] = []
 
-    def lanes(self, unit: Points, offsets: Float[np.ndarray, "points tolerances"]) -> Lanes:
+    def lanes(self, unit: Float[np.ndarray, "points varied"], offsets: Float[np.ndarray, "points tolerances"]) -> Lanes:
         """Return the variables of points with offsets, one row each, from every start."""
         sweep = replace(self.spec.template, points=self.spec.columns(unit, offsets))
         self.counts["lanes"] += sweep.lanes
@@ -98,7 +87,7 @@ class Search:
         ds = ds if "start" in ds.dims else ds.expand_dims("start")
         return {str(name): x.transpose("point", "start", ...).values for name, x in ds.items() if "point" in x.dims}
 
-    def assess(self, points: Points | Sequence[Unit], offsets: Offsets) -> list[Assessment]:
+    def assess(self, points: Sequence[Unit] | Float[np.ndarray, "points varied"], offsets: Offsets) -> list[Assessment]:
         """Assess points over samples of their boxes, in one batch of lanes."""
         if not len(points):
             return []
@@ -111,7 +100,6 @@ class Search:
         ]
 
     def map(self) -> list[Assessment]:
-        """Assess the points of a grid or a Sobol sample over the bounds, without tolerances."""
         count = len(self.spec.bounds)
         if count in MAP_AXIS:
             return self.assess(np.array([*product(np.linspace(0, 1, MAP_AXIS[count]), repeat=count)]), self.centre)
@@ -150,10 +138,8 @@ class Search:
             verified += checked
             if len(self.box) == 1 or not checked or any(a.feasible for a in checked):
                 break
-            least, most = self.spec.share or (1.0, 1.0)
             for a in checked:
-                share = a.good.mean(axis=1)
-                failing = np.flatnonzero((share < least) | (share > most))
+                failing = np.flatnonzero(a.missed > 0)
                 some = failing[:: max(1, len(failing) // ADDED_SAMPLES)][:ADDED_SAMPLES]
                 self.box = np.concatenate([self.box, a.offsets[some]])
             candidates, radius = self.assess([a.unit for a in candidates], self.box), REPAIR_RADIUS
@@ -168,17 +154,15 @@ class Search:
         checked = self.assess([a.unit for a in candidates], offsets)
         for width in NEAR_WIDTHS:  # the worst sample of a ridge that crosses the box lies between those before
             cube = DRAWN_BOX * width * draws(count, NEAR_DRAWS, seed=3)
-            checked = [self._with_samples(a, cube) if a.feasible else a for a in checked]
+            for index, a in enumerate(checked):
+                if a.feasible:
+                    rows = [a.values[self.spec.maximise], *a.slack]
+                    worst = {int(np.nanmin(np.where(a.good, x, np.inf), axis=1).argmin()) for x in rows}
+                    near = np.concatenate([np.clip(a.offsets[k] + cube, -DRAWN_BOX, DRAWN_BOX) for k in sorted(worst)])
+                    [b] = self.assess([a.unit], near)
+                    lanes = {name: np.concatenate([x, b.lanes[name]]) for name, x in a.lanes.items()}
+                    checked[index] = Assessment(self.spec, a.unit, np.concatenate([a.offsets, near]), lanes)
         return checked
-
-    def _with_samples(self, a: Assessment, cube: Offsets) -> Assessment:
-        """Assess a candidate at further samples, around the worst ones of the objective and of each limit."""
-        rows = [a.values[self.spec.maximise], *a.slack]
-        worst = {int(np.nanmin(np.where(a.good, x, np.inf), axis=1).argmin()) for x in rows}
-        near = np.concatenate([np.clip(a.offsets[k] + cube, -DRAWN_BOX, DRAWN_BOX) for k in sorted(worst)])
-        [b] = self.assess([a.unit], near)
-        lanes = {name: np.concatenate([x, b.lanes[name]]) for name, x in a.lanes.items()}
-        return Assessment(self.spec, a.unit, np.concatenate([a.offsets, near]), lanes)
 
     def zoom(self, candidates: Sequence[Assessment], radius: float) -> list[Assessment]:
         """Improve candidates by lanes alone, on ridges where a stick appears, at borders, and without derivatives.
@@ -199,7 +183,7 @@ class Search:
             assessments = iter(self.assess([unit for own in points for unit in own], self.box))
             for k, own in zip(active, points, strict=True):
                 best = pools[k][0]
-                pool = sorted([*pools[k], *(next(assessments) for _ in own)], key=lambda a: a.rank)[:ZOOM_ELITE]
+                pool = sorted([*pools[k], *(next(assessments) for _ in own)], key=by_rank)[:ZOOM_ELITE]
                 moves = np.array([a.unit for a in pool]) - best.unit  # from the last best: steady progress widens it
                 shapes[k] = np.linalg.cholesky(3 * moves.T @ moves / len(moves) + 1e-14 * np.eye(count))
                 pools[k] = pool
@@ -232,63 +216,33 @@ class Search:
     def front(self, points: Sequence[Assessment], results: Sequence[Assessment]) -> list[tuple[float, Assessment]]:
         """Return limits and best points of the design's front, each from the last optimum and the map.
 
-        The search goes from the tightest limit to the loosest.
+        The search goes from the tightest limit to the loosest: by default from the least that the map reaches to that
+        of the free optimum.
         """
         spec, front = self.spec, self.spec.front
         assert front is not None
-        limits = self._front_limits(points, results)
+        span = front.span or (TOLERANCE_SPAN if front.against == "tolerance" else None)
+        if span is None:
+            free = spec.within(None)
+            known = [Assessment(free, a.unit, a.offsets[:1], a.nominal) for a in points]
+            fit = [extreme(a.values[front.against], front.end) for a in known if a.fit.all()]
+            top = [extreme(a.values[front.against], front.end) for a in (min(known, key=by_rank), results[0])]
+            low, high = (min(fit), max(top)) if front.end == "most" else (max(fit), min(top))
+            span = low + 0.02 * (high - low), high
+        limits = np.linspace(*span, front.points).tolist()
         optima: dict[float, Assessment] = {}
         last: list[Assessment] = []
         for limit in sorted(limits, reverse=front.against == "tolerance" or front.end == "least"):
-            if front.against == "tolerance":
-                changed = replace(spec, tolerances={name: limit * x for name, x in spec.tolerances.items() if limit})
-            else:
-                own_limit = Constraint(front.against, front.end, limit, MARGIN * spec.template.run.error * abs(limit))
-                changed = replace(spec, constraints=(*spec.without_front_limit, own_limit))
+            changed = spec.within(limit)
             own = Search(changed, self.counts)
             known = [Assessment(changed, a.unit, own.centre, a.nominal) for a in (*points, *results)]
             seeds = own.assess([a.unit for a in last], own.box) + own.seeds(known)[:1]
             checked = own.best(seeds, WARM_RADIUS)
-            if last and min(checked, key=lambda a: a.rank).rank > last[0].rank:  # what held under a tighter limit
+            if last and min(checked, key=by_rank).rank > last[0].rank:  # what held under a tighter limit
                 checked += own.verify(own.assess([a.unit for a in last], own.box))
-            optima[limit] = min(checked, key=lambda a: a.rank)
+            optima[limit] = min(checked, key=by_rank)
             last = [optima[limit]] if optima[limit].feasible else last
         return [(limit, optima[limit]) for limit in limits]
-
-    def _front_limits(self, points: Sequence[Assessment], results: Sequence[Assessment]) -> list[float]:
-        """Return the limits of a front, by default from the least that the map reaches to that of the free optimum."""
-        front = self.spec.front
-        assert front is not None
-        if front.span is not None or front.against == "tolerance":
-            return np.linspace(*(front.span or TOLERANCE_SPAN), front.points).tolist()
-        free = replace(self.spec, constraints=self.spec.without_front_limit)
-        known = [Assessment(free, a.unit, a.offsets[:1], a.nominal) for a in points]
-        fit = [extreme(a.values[front.against], front.end) for a in known if a.fit.all()]
-        top = [extreme(a.values[front.against], front.end) for a in (min(known, key=lambda a: a.rank), results[0])]
-        low, high = (min(fit), max(top)) if front.end == "most" else (max(fit), min(top))
-        return np.linspace(low + 0.02 * (high - low), high, front.points).tolist()
-
-
-LARGEST_MODULUS = 0.98
-"""Largest modulus of a multiplier on orbits: nearer to 1, an orbit is about to lose its stability."""
-
-INSIDE = 1e-6
-"""Slack that SLSQP keeps, which covers its own tolerance."""
-
-ORBIT_REACH = 1.0
-"""Distance in half swings from the prediction beyond which no orbit is searched."""
-
-LEAST_STEP = 1 / 16
-"""Smallest step to another point, as a fraction of the way: beyond it, SLSQP tries a nearer point."""
-
-SLSQP_MAX_ITERATIONS, SLSQP_MAX_ROUNDS = 12, 20
-"""Iterations of SLSQP in a box around the best point so far, and boxes: the next begins at the best point of all."""
-
-FIRST_RADIUS, LARGEST_RADIUS, LEAST_RADIUS = 0.1, 0.2, 1e-3
-"""Half-widths of these boxes in the unit box: the first, the largest, and the one below which the search ends."""
-
-SAME_POINT = 0.01
-"""Distance in the unit box (greatest coordinate) within which two candidates count as one."""
 
 
 class LostOrbit(Exception):
@@ -310,11 +264,6 @@ class Visit:
     by: tuple[str, ...]
     orbit_slopes: list[OrbitFeatures]
 
-    def rank(self, objectives: int) -> tuple[float, float]:
-        """Return the key of the order from worst to best: smaller violations, then a greater least objective."""
-        excess = float(self.rows[objectives:].min(initial=0.0)) + INSIDE / 2
-        return min(excess, 0.0), float(self.rows[:objectives].min())
-
 
 class BoxOrbits:
     """The periodic orbits of a point's motions over the box, as functions of the point.
@@ -334,10 +283,10 @@ class BoxOrbits:
         ]  # fmt: skip
         self.box = seed.offsets[sound]
         self.objectives = len(seed.motions) * (len(sound) if spec.robust else 1)
-        self.impacts: list[float] | None = None
         self.optima: list[Unit] = []
-        first = self._visit(seed.unit, [orbits_at(seed, start, sound) for start in seed.motions])
-        self.visits = [] if first is None else [first]
+        self.visits: list[Visit] = []
+        with suppress(LostOrbit):
+            self._visit(seed.unit, [orbits_at(seed, start, sound) for start in seed.motions])
 
     def at(self, unit: Unit) -> Visit:
         """Return the orbits at a point, carried from the nearest point visited; raise `LostOrbit` without them."""
@@ -349,15 +298,12 @@ class BoxOrbits:
             orbits.carry_to(parameters, within=ORBIT_REACH, least=LEAST_STEP, by=near.by, slopes=slopes)
             for orbits, slopes in zip(near.orbits, near.orbit_slopes, strict=True)
         ]
-        arrived = all(arrived.all() for _, arrived in carried)
-        visit = self._visit(unit, [orbits for orbits, _ in carried]) if arrived else None
-        if visit is None:
+        if not all(arrived.all() for _, arrived in carried):
             raise LostOrbit
-        self.visits.append(visit)
-        return visit
+        return self._visit(unit, [orbits for orbits, _ in carried])
 
-    def _visit(self, unit: Unit, orbits: list[Orbits]) -> Visit | None:
-        """Return the rows of a point from its orbits; None if these lack a value or are not of the same kind."""
+    def _visit(self, unit: Unit, orbits: list[Orbits]) -> Visit:
+        """Return the rows of a point from its orbits, which must have all values and be of the same kind."""
         spec = self.spec
         _, chain = spec.parameters(np.repeat(unit[None], len(self.box), axis=0), self.box)
         jacobian = np.stack([*chain.values()], axis=1)
@@ -366,7 +312,7 @@ class BoxOrbits:
             features = batch.derivatives(self.of, tuple(chain))
             values, gradients = features.values, features.derivatives @ jacobian
             if not (np.isfinite(values).all() and np.isfinite(gradients).all() and np.ptp(batch.impacts) == 0):
-                return None
+                raise LostOrbit
             orbit_slopes.append(features)
             table = dict(zip(spec.names, zip(values.T, gradients.transpose(1, 0, 2), strict=True), strict=False))
             value, slope = table[spec.maximise]
@@ -376,12 +322,12 @@ class BoxOrbits:
             for c in spec.constraints:
                 value, slope = table[c.variable]
                 limits.append((c.slack(value) - INSIDE, c.sign * slope / c.scale))
-        impacts = [float(batch.impacts[0]) for batch in orbits]
-        if self.impacts is not None and impacts != self.impacts:
-            return None
-        self.impacts = impacts
+        first = self.visits[0].orbits if self.visits else orbits
+        if any(batch.impacts[0] != other.impacts[0] for batch, other in zip(orbits, first, strict=True)):
+            raise LostOrbit
         rows, slopes = (np.concatenate([pair[k] for pair in (*objectives, *limits)]) for k in range(2))
-        return Visit(unit.copy(), rows, slopes, orbits, tuple(chain), orbit_slopes)
+        self.visits.append(Visit(unit.copy(), rows, slopes, orbits, tuple(chain), orbit_slopes))
+        return self.visits[-1]
 
     def climb(self, known: Sequence[Unit]) -> list[Unit]:
         """Return points on the way to the optimum of the orbits, by SLSQP; it ends near points that are `known`.
@@ -390,6 +336,11 @@ class BoxOrbits:
         The limits hold for each motion and sample. No motion has to settle here.
         """
         count, objectives = len(self.spec.bounds), self.objectives
+
+        def merit(visit: Visit) -> tuple[float, float]:  # smaller violations, then a greater least objective
+            excess = float(visit.rows[objectives:].min(initial=0.0)) + INSIDE / 2
+            return min(excess, 0.0), float(visit.rows[:objectives].min())
+
         is_objective = 1.0 * (np.arange(len(self.visits[0].rows)) < objectives)
         limits: dict[str, Any] = {
             "type": "ineq",
@@ -408,7 +359,7 @@ class BoxOrbits:
                     options={"maxiter": SLSQP_MAX_ITERATIONS, "ftol": 1e-9},
                 )  # fmt: skip
                 done = bool(end.success) and float(np.abs(end.x[:count] - now.unit).max()) < 0.99 * radius
-            best = max(self.visits, key=lambda visit: visit.rank(objectives))
+            best = max(self.visits, key=merit)
             moved = float(np.abs(best.unit - now.unit).max())
             path += [best] * (best is not now)
             self.optima += [best.unit] * done

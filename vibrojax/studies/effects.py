@@ -28,24 +28,15 @@ from vibrojax.settings.fields import given, setting
 from vibrojax.settings.toml import read_source
 from vibrojax.settings.values import check_distinct
 from vibrojax.studies.analysis import PictureRule, SummaryPart, checked_result
-from vibrojax.studies.effects_sampling import (
-    CONFIDENCE,
-    REASONS,
-    RULES,
-    SHARE,
-    Sampling,
-    factorial_signs,
-    indices,
-    values_of,
-)
+from vibrojax.studies.effects_sampling import CONFIDENCE, REASONS, RULES, SHARE, Sampling, indices, values_of
 from vibrojax.studies.subjects import FileAnalysis
 
-MIN_SHARE = 0.05
-"""Share of the variance below which a parameter or a pair counts as unimportant."""
+MIN_SHARE = 0.05  # share of the variance below which a parameter or a pair counts as unimportant
 
 _MAX_ROWS = 4
 _UNKNOWN = "#F2F2F2"  # ground of a pair whose interaction is within its error
 _BAR = 0.38  # height of a bar; two stand at each parameter
+Ticks = list[tuple[float, str]]
 
 
 def bars_and_interactions(ds: xr.Dataset) -> Sheet:
@@ -56,13 +47,14 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     of = [str(name) for name in ds["of"].values][:_MAX_ROWS]
     size = 9.0, len(of) * max(1.7, 0.6 + 0.22 * ds.sizes["parameter"]) + 0.8
     greatest = 100 * min(float(np.nanmax(ds["second_order"].values, initial=MIN_SHARE)), 1.0)
-    norm = Normalize(0.0, greatest)
+    norm, signs = Normalize(0.0, greatest), symbols_of(ds)
     pairs = Value("sobol_pair", "interaction of a pair [%]", 1.0, norm, "neither", colormaps["Blues"])
+    ticks = [(float(k), signs.get(name, name)) for k, name in enumerate(map(str, ds["parameter"].values))]
     plots = []
     for k, name in enumerate(of):
         row = ds.sel(of=name)
-        plots.append(_share_plot(row, k, "share of the variance" if name == of[-1] else ""))
-        plots.append(_pair_plot(row, k, pairs))
+        plots.append(_share_plot(row, k, "share of the variance" if name == of[-1] else "", ticks))
+        plots.append(_pair_plot(row, k, pairs, ticks))
     rest = ds.sizes["of"] - len(of)
     further = counted(rest, "further variable is", "further variables are") + " not drawn" if rest else ""
     level = f"{100 * float(ds.attrs.get('confidence', 0.95)):.0f} %"
@@ -73,34 +65,26 @@ def bars_and_interactions(ds: xr.Dataset) -> Sheet:
     return Sheet(plots, size, (1.5, 1.0), beside=False, **margins(ds, *notes))
 
 
-def _share_plot(row: xr.Dataset, k: int, label: str) -> Plot:
-    names = _symbols(row)
-    places = np.arange(len(names), dtype=float)
-    layers: list[Layer] = []
+def _share_plot(row: xr.Dataset, k: int, label: str, ticks: Ticks) -> Plot:
+    places, layers = np.arange(len(ticks), dtype=float), list[Layer]()
     looks = (-_BAR / 2, "first_order", BIT, "alone"), (_BAR / 2, "total_order", FAINT, "with all its\ninteractions")
     for shift, key, colour, text in looks:
         values, errors = np.clip(row[key].values, 0.0, 1.0), np.nan_to_num(row[f"{key}_conf"].values)
         bottom = places + shift - _BAR / 2
-        layers.append(Bars(np.zeros(len(names)), bottom, values, np.full(len(names), _BAR), colour, label=text))
+        layers.append(Bars(0 * places, bottom, values, np.full(len(ticks), _BAR), colour, label=text))
         ends = np.clip([row[key].values - errors, row[key].values + errors], 0.0, 1.0)
         layers.append(Line(*bars(places + shift, *ends)[::-1], width=0.8))
     if int(row["sobol_reason"]) != REASONS.index("known"):
         layers.append(Text(0.5, 0.5, _why(row), relative=True))
-    up = Axis(ticks=[*zip(places.tolist(), names, strict=True)], reversed=True)
+    up = Axis(ticks=ticks, reversed=True)
     return Plot(layers, Axis(label, limits=(0.0, 1.0)), up, _title(row), (k, 0))
 
 
-def _symbols(row: xr.Dataset) -> list[str]:
-    signs = symbols_of(row)
-    return [signs.get(str(name), str(name)) for name in row["parameter"].values]
-
-
-def _pair_plot(row: xr.Dataset, k: int, value: Value) -> Plot:
+def _pair_plot(row: xr.Dataset, k: int, value: Value, ticks: Ticks) -> Plot:
     """Draw the lower triangle of second-order indices; those within their confidence interval of 0 are in brackets."""
-    names = _symbols(row)
     values, errors = (100 * x for x in _interactions(row))
-    lower = np.where(np.tri(len(names), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
-    ends = np.arange(len(names) + 1) - 0.5
+    lower = np.where(np.tri(len(ticks), k=-1, dtype=bool), np.maximum(values, 0.0), np.nan)
+    ends = np.arange(len(ticks) + 1) - 0.5
     layers: list[Layer] = [Cells(ends, ends, lower, value.colour_map, value.norm, hatched=False)]
     unknown = np.isfinite(lower) & ~(values > errors)
     layers.append(one_colour(ends, ends, unknown, _UNKNOWN, order=0.5))
@@ -108,7 +92,6 @@ def _pair_plot(row: xr.Dataset, k: int, value: Value) -> Plot:
         colour = "#FFFFFF" if value.norm(lower[i, j]) > 0.6 and not unknown[i, j] else INK
         text = f"({lower[i, j]:.0f})" if unknown[i, j] else f"{lower[i, j]:.0f}"
         layers.append(Text(float(j), float(i), text, colour=colour, size=7.5))
-    ticks = [(float(place), name) for place, name in enumerate(names)]
     across, up = Axis(ticks=ticks, group="other"), Axis(ticks=ticks, reversed=True)
     return Plot(layers, across, up, "interactions of pairs [%]", (k, 1), scale=value)
 
@@ -122,19 +105,16 @@ def _title(row: xr.Dataset) -> str:
 
 
 def _scale(row: xr.Dataset) -> tuple[float, str]:
-    """Return the factor and the unit in which a row's variable is printed."""
     values = np.array([float(row["mean"]), float(row["std"]), *np.abs(np.nan_to_num(row["effect"].values))])
     return scale(xr.DataArray(values, attrs={"units": str(row["of_unit"].item())}))
 
 
 def _why(row: xr.Dataset) -> str:
-    return {"constant": "it is the same everywhere", "too-few-samples": "too few samples have a value"}.get(
-        REASONS[int(row["sobol_reason"])], ""
-    )
+    why = {"constant": "it is the same everywhere", "too-few-samples": "too few samples have a value"}
+    return why.get(REASONS[int(row["sobol_reason"])], "")
 
 
-WIDE = 0.3
-"""Half-width of a confidence interval above which the summary recommends more samples."""
+WIDE = 0.3  # half-width of a confidence interval above which the summary recommends more samples
 
 CURVED = 0.5
 """Ratio of an effect to that of a straight line with the same variance below which the summary calls it not steady."""
@@ -144,7 +124,7 @@ NEGLIGIBLE = 1e-3
 
 _OF, _PARAMETER = ("of",), ("of", "parameter")
 _PAIR = ("of", "parameter", "other")
-_KEPT = ("parameters", "parameter_units", "differing", "run", "solver")  # attributes of the lanes
+_KEPT = ("parameters", "parameter_units", "differing", "run", "solver", "lanes")  # attributes of the lanes
 
 RULED = {
     "set_to_zero": ("lane without impacts counts as 0", "lanes without impacts count as 0"),
@@ -233,7 +213,7 @@ def read_study(source: str | PathLike[str] | Mapping[str, object]) -> Study:
             raise place.at("of").item(index).error(fault)
     check_distinct(place.at("of"), file.of, "variable")
     sampling = Sampling(bounds, file.samples, file.seed)
-    columns = {name: x.tolist() for name, x in zip(sampling.names, sampling.points().T, strict=True)}
+    columns = {name: x.tolist() for name, x in zip(bounds, sampling.points().T, strict=True)}
     sweep = file.sweep(origin.file, columns, title=file.title or f"Study of {', '.join(file.of)}".replace("_", " "))
     return Study(file.of, sampling, sweep, origin.text)
 
@@ -259,19 +239,11 @@ def study(source: str | PathLike[str] | Mapping[str, object], progress: bool = T
       - `samples`: number of base samples, a power of two; default 256. `seed`: default 0.
 
     **Returns:** a dataset with the dimensions `of` (the variable), `parameter`, and `other` (the second parameter of a
-    pair).
-
-    - `first_order`: share of the variance that a parameter causes alone. `total_order`: share that a parameter causes
-      alone and in interactions. `second_order`: share that the interaction of two parameters causes. Names with the
-      ending `_conf` are half-widths of 95 % confidence intervals.
-    - `effect`: mean of the variable at the high level of a parameter minus the mean at the low level. `interaction`:
-      half the difference between the effects of a parameter at the high and at the low level of another parameter.
-    - `mean`, `std`: mean and standard deviation of the variable over the parameter box. `share_single_impact`: share of
-      lanes with a single impact; `regime_share`: share of lanes in each regime.
-    - `set_to_zero`: number of lanes without impacts that count as 0. `averaged`: number of irregular lanes that count
-      with mean values. `left_out`, `corners_left_out`: numbers of base samples and corners that are left out. The
-      attribute `rules` states which lanes are left out or count as 0. `sobol_reason`: reason why the dataset lacks
-      Sobol indices.
+    pair). `first_order`, `total_order` and `second_order` are the shares of the variance that a parameter causes alone,
+    that it causes alone and in interactions, and that a pair causes, with half-widths of 95 % confidence intervals
+    (`_conf`). `effect` is the mean of the variable at the high level of a parameter minus that at the low level, and
+    `interaction` half the difference of an effect between both levels of another parameter. The attribute `rules` says
+    which lanes are left out or count as 0; further variables count them.
 
     **Raises:** `InputError` if the study is invalid or SALib is not installed.
 
@@ -314,7 +286,6 @@ class Studies(FileAnalysis[Study]):
             return self._dataset(spec, lanes)
 
     def _dataset(self, spec: Study, lanes: xr.Dataset) -> xr.Dataset:
-        """Return the dataset of a study from the dataset of its sweep."""
         lanes, sampling, sweep = lanes.transpose("point", ...), spec.sampling, spec.sweep
         rows: list[dict[str, Any]] = []
         for name in spec.of:
@@ -323,7 +294,8 @@ class Studies(FileAnalysis[Study]):
             rows.append(indices(sampling, values.mean(axis=1)) | counts)
         table: dict[str, Any] = {key: np.array([row[key] for row in rows]) for key in rows[0]}
         table["low"], table["high"] = np.array(list(sampling.bounds.values())).T
-        coords: dict[str, Any] = {"of": spec.of, "parameter": sampling.names, "other": sampling.names}
+        names = list(sampling.bounds)
+        coords: dict[str, Any] = {"of": spec.of, "parameter": names, "other": names}
         sobol = sampling.samples * sampling.group
         if "regime" in lanes:
             regime = lanes["regime"].values.reshape(lanes.sizes["point"], -1)[:sobol]
@@ -331,33 +303,20 @@ class Studies(FileAnalysis[Study]):
             table[SHARE] = (regime == SINGLE_IMPACT).mean()
             coords["label"] = list(REGIMES)
         about = described_variables(sweep) | {SHARE: STUDY_VARIABLES[SHARE]}
-        parameters = [parameter_attributes(sweep, name) for name in sampling.names]
-        coords |= {
-            "of_unit": ("of", [about[name].units for name in spec.of]),
-            "of_long_name": ("of", [about[name].long_name for name in spec.of]),
-            "parameter_unit": ("parameter", [x["units"] for x in parameters]),
-            "parameter_long_name": ("parameter", [x["long_name"] for x in parameters]),
-        }
-        corners = len(factorial_signs(len(sampling.bounds)))
+        parameters = [parameter_attributes(sweep, name) for name in names]
+        for end, key in (("unit", "units"), ("long_name", "long_name")):
+            coords[f"of_{end}"] = "of", [getattr(about[name], key) for name in spec.of]
+            coords[f"parameter_{end}"] = "parameter", [x[key] for x in parameters]
+        corners = lanes.sizes["point"] - sobol
         fraction = "full" if corners == 2 ** len(sampling.bounds) else "fraction of resolution V"
-        return self.dataset(
-            {name: table[name] for name in STUDY_VARIABLES if name in table},
-            coords,
-            title=sweep.title,
-            scene=sweep.scene,
-            **{name: lanes.attrs[name] for name in _KEPT if name in lanes.attrs},
-            study=spec.text,
-            rules=RULES,
-            samples=sampling.samples,
-            seed=sampling.seed,
-            confidence=CONFIDENCE,
-            design=f"{fraction}, {corners} corners",
-            lanes=lanes.attrs["lanes"],
-            sobol_lanes=sobol * lanes.sizes.get("start", 1),
-        )
+        kept: dict[str, Any] = {name: lanes.attrs[name] for name in _KEPT if name in lanes.attrs}
+        kept |= {"study": spec.text, "rules": RULES, "design": f"{fraction}, {corners} corners"}
+        kept |= {"samples": sampling.samples, "seed": sampling.seed, "confidence": CONFIDENCE}
+        kept |= {"sobol_lanes": sobol * lanes.sizes.get("start", 1)}
+        table = {name: table[name] for name in STUDY_VARIABLES if name in table}
+        return self.dataset(table, coords, title=sweep.title, scene=sweep.scene, **kept)
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return a sentence for each parameter and each important pair of parameters, and the lanes treated by rule."""
         facts: dict[str, Any] = {}
         lines: list[str] = []
         keys = ("first_order", "first_order_conf", "total_order", "total_order_conf", "effect")
@@ -407,20 +366,17 @@ def _sentences(row: xr.Dataset) -> list[str]:
 def _parameter_sentence(row: xr.Dataset, k: int) -> str:
     factor, unit = _scale(row)
     name, long_name = str(row["parameter"].values[k]), str(row["parameter_long_name"].values[k]).split(" (")[0]
-    first, total, error, effect = (
-        float(row[key][k]) for key in ("first_order", "total_order", "total_order_conf", "effect")
-    )
+    keys = ("first_order", "total_order", "total_order_conf", "effect")
+    first, total, error, effect = (float(row[key][k]) for key in keys)
     text = f"{name} ({long_name}) causes {_percent(total).removesuffix(' %')} ± {_percent(error)} of the variation"
     text += f", {_percent(first)} on its own"
     if not np.isfinite(effect):
         return text
     change = f"{'raises' if effect > 0 else 'lowers'} it by {factor * abs(effect):.3g} {pretty_unit(unit)}".rstrip()
     change = change if abs(effect) > NEGLIGIBLE * float(row["std"]) else "hardly changes it"
-    ends = xr.DataArray(
-        row[["low", "high"]].to_array()[:, k].values, attrs={"units": str(row["parameter_unit"][k].item())}
-    )
-    factor, unit = scale(ends)
-    span = f"{' to '.join(f'{factor * float(x):.4g}' for x in ends)} {pretty_unit(unit)}".rstrip()
+    ends = [float(row[end][k]) for end in ("low", "high")]
+    factor, unit = scale(xr.DataArray(ends, attrs={"units": str(row["parameter_unit"][k].item())}))
+    span = f"{' to '.join(f'{factor * x:.4g}' for x in ends)} {pretty_unit(unit)}".rstrip()
     text += f"; going from {span} {change} on average"
     if first > MIN_SHARE and abs(effect) < CURVED * np.sqrt(12 * first) * float(row["std"]):
         text += ", but not steadily: values in between differ more"

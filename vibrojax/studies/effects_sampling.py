@@ -14,20 +14,12 @@ from vibrojax.io.variables import STATUSES
 from vibrojax.maps.bounds import corners
 from vibrojax.measures.labels import EQUILIBRIUM, SINGLE_IMPACT
 
-CONFIDENCE = 0.95
-"""Level of the confidence intervals."""
-
-RESAMPLES = 200
-"""Number of bootstrap samples from which the confidence intervals are estimated."""
-
-MIN_GROUPS = 8
-"""Smallest number of base samples from which indices are computed."""
-
-REASONS = ("known", "constant", "too-few-samples")
-"""Meanings of the flags of `sobol_reason`."""
-
-SHARE = "share_single_impact"
-"""Name in `of` for the share of starts from which a point has a single impact."""
+CONFIDENCE = 0.95  # level of the confidence intervals
+RESAMPLES = 200  # number of bootstrap samples from which the confidence intervals are estimated
+_NAMES = {"first_order": "S1", "total_order": "ST", "second_order": "S2"}  # of SALib
+MIN_GROUPS = 8  # smallest number of base samples from which indices are computed
+REASONS = ("known", "constant", "too-few-samples")  # meanings of the flags of `sobol_reason`
+SHARE = "share_single_impact"  # name in `of` for the share of starts from which a point has a single impact
 
 # Up to eight parameters, all corners are run, 256 of them, and a fraction beyond. There, each further parameter is the
 # product of the signs of some of the first seven, or eight. Main effects and interactions of two parameters are not
@@ -69,19 +61,13 @@ class Sampling:
     seed: int = 0
 
     @property
-    def names(self) -> list[str]:
-        """Names of the parameters."""
-        return list(self.bounds)
-
-    @property
     def group(self) -> int:
         """Number of consecutive points of the Sobol sample that belong to one base sample: 2 D + 2."""
         return 2 * len(self.bounds) + 2
 
     @property
     def problem(self) -> dict[str, object]:
-        """The description of the box for SALib."""
-        return {"num_vars": len(self.bounds), "names": self.names, "bounds": [list(x) for x in self.bounds.values()]}
+        return {"num_vars": len(self.bounds), "names": [*self.bounds], "bounds": [[*x] for x in self.bounds.values()]}
 
     def points(self) -> Points:
         """Return all points: Saltelli's sample, `samples` groups of `group` points each, and the corners.
@@ -148,11 +134,7 @@ def values_of(lanes: xr.Dataset, name: str) -> tuple[Lanes, Bool[np.ndarray, "po
     return values, zeros, irregular & ~zeros & np.isfinite(values)
 
 
-Values = Float[np.ndarray, " points"]
-Result = dict[str, np.ndarray]
-
-
-def indices(sampling: Sampling, values: Values) -> Result:
+def indices(sampling: Sampling, values: Float[np.ndarray, " points"]) -> dict[str, np.ndarray]:
     """Return the results of one variable, by name, from its values at `sampling.points()`, NaN where it has none.
 
     A base sample with a point without a value is left out with all its points, so that Saltelli's estimators remain
@@ -162,46 +144,36 @@ def indices(sampling: Sampling, values: Values) -> Result:
     second_order, with `_conf`, and interaction, both symmetric, NaN on the diagonal; and mean, std, left_out,
     corners_left_out and sobol_reason.
     """
-    count = sampling.samples * sampling.group
-    groups = values[:count].reshape(sampling.samples, sampling.group)
-    kept = np.isfinite(groups).all(axis=1)
-    effect, interaction, corners_left_out = factorial_effects(factorial_signs(len(sampling.bounds)), values[count:])
-    ends = groups[kept][:, [0, -1]]  # the independent points of each base sample
-    result = {
-        **_sobol_indices(sampling, groups[kept]),
+    size, count = len(sampling.bounds), sampling.samples * sampling.group
+    whole = values[:count].reshape(sampling.samples, sampling.group)
+    kept = np.isfinite(whole).all(axis=1)
+    groups = whole[kept]
+    of_salib = {f"{name}{end}": f"{short}{end}" for name, short in _NAMES.items() for end in ("", "_conf")}
+    shares = {name: np.full((size, size) if "second" in name else size, np.nan) for name in of_salib}
+    reason = "too-few-samples" if len(groups) < MIN_GROUPS else "known"
+    if reason == "known" and np.ptp(groups) <= 1e-12 * np.abs(groups).max():
+        reason = "constant"
+    if reason == "known":
+        sobol = salib("analyze").analyze(
+            sampling.problem, groups.ravel(), calc_second_order=True, num_resamples=RESAMPLES, conf_level=CONFIDENCE,
+            seed=sampling.seed + 1,  # SALib takes 0 for no seed
+        )  # fmt: skip
+        for name, short in of_salib.items():
+            x = np.asarray(sobol[short], float)
+            shares[name] = np.where(np.isnan(x), x.T, x) if x.ndim == 2 else x
+        shares["total_order_conf"] = np.fmax(shares["total_order_conf"], _unseen(groups))
+    effect, interaction, corners_left_out = factorial_effects(factorial_signs(size), values[count:])
+    ends = groups[:, [0, -1]]  # the independent points of each base sample
+    result = shares | {
         "effect": effect,
         "interaction": interaction,
         "mean": np.mean(ends) if kept.any() else np.nan,
         "std": np.std(ends) if kept.any() else np.nan,
         "left_out": np.sum(~kept),
         "corners_left_out": corners_left_out,
+        "sobol_reason": REASONS.index(reason),
     }
     return {name: np.asarray(x) for name, x in result.items()}
-
-
-def _sobol_indices(sampling: Sampling, groups: Float[np.ndarray, "groups points"]) -> Result:
-    names = ("first_order", "total_order", "second_order")
-    size = len(sampling.bounds)
-    shapes: dict[str, tuple[int, ...]] = {"first_order": (size,), "total_order": (size,), "second_order": (size, size)}
-    result = {f"{name}{end}": np.full(shapes[name], np.nan) for name in names for end in ("", "_conf")}
-    if len(groups) < MIN_GROUPS:
-        return result | {"sobol_reason": np.asarray(REASONS.index("too-few-samples"))}
-    if np.ptp(groups) <= 1e-12 * np.abs(groups).max():
-        return result | {"sobol_reason": np.asarray(REASONS.index("constant"))}
-    sobol = salib("analyze").analyze(
-        sampling.problem,
-        groups.ravel(),
-        calc_second_order=True,
-        num_resamples=RESAMPLES,
-        conf_level=CONFIDENCE,
-        seed=sampling.seed + 1,  # SALib takes 0 for no seed
-    )
-    for name, short in zip(names, ("S1", "ST", "S2"), strict=True):
-        for end in ("", "_conf"):
-            x = np.asarray(sobol[f"{short}{end}"], float)
-            result[f"{name}{end}"] = np.where(np.isnan(x), x.T, x) if x.ndim == 2 else x
-    result["total_order_conf"] = np.fmax(result["total_order_conf"], _unseen(groups))
-    return result | {"sobol_reason": np.asarray(REASONS.index("known"))}
 
 
 def _unseen(groups: Float[np.ndarray, "groups points"]) -> float:

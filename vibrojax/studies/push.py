@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
+from jaxtyping import Float, Shaped
 
 from vibrojax.errors import InputError, Place, shown
 from vibrojax.io.attributes import flags, parameters_of, run_of
@@ -123,18 +123,11 @@ def _after(state: str) -> str:
     return f"after the push in {SYMBOLS.get(state, state)}"
 
 
-SCAN, PRECISION = 256, 1e-3
-"""Default number of pushes per scan, and default relative width of the final bracket."""
+SCAN, PRECISION = 256, 1e-3  # default number of pushes per scan, and default relative width of the final bracket
 
-MAX_SCANS = 5
-"""Largest number of scans; each scan covers the range below the smallest push that the previous scan found."""
-
-BRACKET_PIECES, BRACKET_ROUNDS = 32, 4
-"""Number of pieces into which a bracket is divided in each round, and largest number of rounds."""
-
-PATIENCE = 6.0
-"""Factor by which the settling time of irregular motions is extended, because they may still return to the cycle."""
-
+MAX_SCANS = 5  # each scan covers the range below the smallest push that the previous scan found
+BRACKET_PIECES, BRACKET_ROUNDS = 32, 4  # into which a bracket is divided in each round, and most rounds
+PATIENCE = 6.0  # times the settling time for irregular motions, because they may still return to the cycle
 SIGNS = (-1, 1)
 
 METHOD = (
@@ -167,9 +160,6 @@ def smallest_push(
     variable, in either direction, when the cycle crosses the section (the bit overtakes the drive). After a push, the
     motion settles for `settle` seconds and is observed for `observe` seconds.
 
-    Repeated scans, and then a refinement of the bracket, locate the smallest push after which the motion does not
-    return to the working cycle.
-
     **Arguments:**
 
     - `scene`: a scene with a drill, or its name; `parameters`: parameters of the scene (SI), as in `simulate`.
@@ -198,10 +188,8 @@ def smallest_push(
     >>> f"{1e3 * float(pushed.push_x1.sel(sign=1)):.0f} mm"  # of the bit at the section; it ends in another motion
     '48 mm'
     """
-    settings = {"most": most, "scan": scan, "precision": precision}
-    return answered(
-        Pushes, scene, settings | {"start": start, "settle": settle, "observe": observe}, parameters, progress
-    )
+    run = {"start": start, "settle": settle, "observe": observe}
+    return answered(Pushes, scene, run | {"most": most, "scan": scan, "precision": precision}, parameters, progress)
 
 
 _MOST = "most_"
@@ -261,17 +249,18 @@ class Pushes(MachineAnalysis[Machines]):
         begin = np.stack([section.get(name, np.zeros(len(stable))) for name in system.start_states], axis=1)
         bound = self._bounds(system, cycle.isel(point=stable))
 
-        # Directions are pairs of state variable and sign; `high`: smallest leaving push found, NaN if there is none.
+        # A direction is a state variable and a sign; `high`: smallest leaving push found, NaN if there is none.
         # `low`: greatest push below it after which the motion is known to return; `regime`: where `high` leads.
-        top = np.repeat(bound, len(SIGNS), axis=1)
+        top = np.repeat(bound[..., None], len(SIGNS), axis=2)
         low, high, regime = np.zeros_like(top), np.full_like(top, np.nan), np.zeros(top.shape, int)
 
-        def narrow(pushes: Float[np.ndarray, "points directions pushes"], mask: np.ndarray) -> None:
-            """Update the brackets with the results of `pushes` in the directions selected by `mask`."""
+        def narrow(pushes: Float[np.ndarray, "points states signs pushes"], mask: np.ndarray) -> None:
+            if not mask.any():
+                return
             tried = pushes[mask]
-            point, direction = np.repeat(np.argwhere(mask), pushes.shape[-1], axis=0).T
+            point, state, side = np.repeat(np.argwhere(mask), pushes.shape[-1], axis=0).T
             states = begin[point]
-            states[np.arange(len(point)), direction // len(SIGNS)] += np.array(SIGNS)[direction % 2] * tried.ravel()
+            states[np.arange(len(point)), state] += np.array(SIGNS)[side] * tried.ravel()
             outcomes = _outcomes(sweep, orbits, stable[point], states, 1.0, progress)
             unclear = np.flatnonzero(outcomes[1] & (outcomes[2] == IRREGULAR))
             if len(unclear):
@@ -289,40 +278,32 @@ class Pushes(MachineAnalysis[Machines]):
         mask = np.ones(top.shape, bool)
         for _ in range(MAX_SCANS):
             before = high.copy()
-            if mask.any():
-                narrow(top[..., None] * (np.arange(1, self.scan + 1) / self.scan), mask)
+            narrow(top[..., None] * (np.arange(1, self.scan + 1) / self.scan), mask)
             top, mask = high, high < np.where(np.isnan(before), np.inf, before)
         for _ in range(BRACKET_ROUNDS):
             mask = high - low > self.precision * high  # False for NaN
-            if mask.any():
-                narrow(low[..., None] + (high - low)[..., None] * (np.arange(1, BRACKET_PIECES) / BRACKET_PIECES), mask)
-        return self._dataset(spec, cycle, stable, bound, low, high, regime)
+            narrow(low[..., None] + (high - low)[..., None] * (np.arange(1, BRACKET_PIECES) / BRACKET_PIECES), mask)
+        found = {_PUSH: high, "bracket_": high - low, "bound_": bound, "regime_": regime}
+        return self._dataset(spec, cycle, stable, found)
 
     def _dataset(
-        self,
-        spec: Machines,
-        cycle: xr.Dataset,
-        stable: Index,
-        bound: Float[np.ndarray, "stable states"],
-        low: Float[np.ndarray, "stable directions"],
-        high: Float[np.ndarray, "stable directions"],
-        regime: Int[np.ndarray, "stable directions"],
+        self, spec: Machines, cycle: xr.Dataset, stable: Index, found: Mapping[str, Shaped[np.ndarray, "stable ..."]]
     ) -> xr.Dataset:
         """Return the dataset of pushes; points without a stable cycle have NaN, and 0 as regime after the push."""
         sweep, system = spec.sweep, spec.sweep.system
         variables: dict[str, Any] = {}
         for k, name in enumerate(system.start_states):
-            state, pair = system.states[system.place(name)], slice(2 * k, 2 * k + 2)
+            state = system.states[system.place(name)]
             push = f"push in the {state.long_name}, at the section"
+            leaves, returns = "after which the motion leaves the working cycle", "after which the motion returns"
             ends_in = f"regime in which the motion ends after the smallest {push}"
-            for part, x, about in (
-                (_PUSH, high[:, pair],
-                 Variable(state.unit, f"smallest {push}, after which the motion leaves the working cycle")),
-                ("bracket_", (high - low)[:, pair],
-                 Variable(state.unit, f"distance to the next smaller {push}, after which the motion returns")),
-                ("bound_", bound[:, k], Variable(state.unit, f"greatest tried {push}")),
-                ("regime_", regime[:, pair], replace(variables_of(system)["regime"], long_name=ends_in)),
-            ):  # fmt: skip
+            for part, about in {
+                _PUSH: Variable(state.unit, f"smallest {push}, {leaves}"),
+                "bracket_": Variable(state.unit, f"distance to the next smaller {push}, {returns}"),
+                "bound_": Variable(state.unit, f"greatest tried {push}"),
+                "regime_": replace(variables_of(system)["regime"], long_name=ends_in),
+            }.items():
+                x = found[part][:, k]
                 whole = np.full((cycle.sizes["point"], *x.shape[1:]), 0 if part == "regime_" else np.nan)
                 whole[stable] = x
                 variables[part + name] = about.entry(("point", "sign")[: x.ndim], whole)
@@ -331,19 +312,13 @@ class Pushes(MachineAnalysis[Machines]):
         coordinates = {name: x for name, x in cycle.coords.items() if x.dims == ("point",)}
         sign = ("sign", list(SIGNS), {"units": "1", "long_name": "sign of the push"})
         settings = {"method": METHOD, "scan": self.scan, "precision": self.precision, "patience": PATIENCE}
-        dataset = self.dataset(
-            variables,
-            {**coordinates, "sign": sign},
-            of=sweep,
-            title=f"Smallest pushes out of the working cycle: {sweep.scene}",
-            start=json.dumps(sweep.starts[0]) if sweep.starts is not None else "",
-            run=cycle.attrs["run"],
-            pushes=json.dumps(settings),
-        )
+        stated: dict[str, Any] = {"run": cycle.attrs["run"], "pushes": json.dumps(settings)}
+        stated["start"] = json.dumps(sweep.starts[0]) if sweep.starts is not None else ""
+        title = f"Smallest pushes out of the working cycle: {sweep.scene}"
+        dataset = self.dataset(variables, {**coordinates, "sign": sign}, of=sweep, title=title, **stated)
         return dataset if spec.several else dataset.isel(point=0, drop=True)
 
     def _bounds(self, system: Scene[Any], cycle: xr.Dataset) -> Float[np.ndarray, "points states"]:
-        """Return the greatest push to be tried in each state variable."""
         section = system.driving_part().section
         assert section is not None
         bounds: dict[str, np.ndarray] = {}
@@ -396,12 +371,11 @@ class Pushes(MachineAnalysis[Machines]):
         The line contains the smallest push and the regime in which the motion then ends.
         """
         machines = ds if "point" in ds.dims else ds.expand_dims("point")
-        varied = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
-        meanings = flags(ds["regime"])
-        lines = []
+        named = [name for name, data in machines.coords.items() if data.dims == ("point",) and name != "point"]
+        meanings, lines = flags(ds["regime"]), []
         for index in range(machines.sizes["point"]):
             machine = machines.isel(point=index)
-            values = [f"{name} = {machine[name].item():g}" for name in varied if machine[name].dtype.kind == "f"]
+            values = [f"{name} = {machine[name].item():g}" for name in named if machine[name].dtype.kind == "f"]
             lines += [f"{', '.join(values)}:"] if values else []
             regime = meanings[int(machine["regime"])]
             if not float(machine[f"bound_{_pushed(machine)[0]}"]) > 0:
@@ -447,5 +421,4 @@ def _outcomes(
 
 
 def _pushed(ds: xr.Dataset) -> list[str]:
-    """Return the state variables whose pushes a dataset holds."""
     return [str(name).removeprefix(_PUSH) for name in ds.data_vars if str(name).startswith(_PUSH)]

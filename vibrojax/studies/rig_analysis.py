@@ -23,14 +23,10 @@ from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.analysis import Source as AnalysisSource
 from vibrojax.studies.rop_group import LEAST_CLEANED, Founder, clean
 
-WINDOW = 30.0
-"""Length [s] of the windows of the stick-slip index from torque: several periods of a drill string's torsion."""
-
-SLOWEST_SAMPLING = 2.0
-"""Longest time [s] between rows for that index. Rarer rows miss the torque's extremes within a period."""
-
-MOST_FORMATIONS = 20
-"""Greatest number of texts in a column that are taken for names of formations or bits."""
+# The stick-slip index of torque has windows of several periods of a drill string's torsion. Rows farther apart miss the
+# torque's extremes within a period.
+WINDOW, SLOWEST_SAMPLING = 30.0, 2.0  # s
+MOST_FORMATIONS = 20  # greatest number of texts in a column that are taken for names of formations or bits
 
 _NO_FOUNDER = {
     "no-bend": "the rate over the weight has no bend",
@@ -57,24 +53,15 @@ SCHEMA = {
 TRACKS = (RATE, WEIGHT, ROTATION_SPEED, "torque", *_NEEDED, "stick_slip_index")
 """Variables that are drawn over depth, as far as the log has them."""
 
-_DRILLERS = {
-    "m s-1": (3600.0, "m/h"),
-    "rad s-1": (30 / np.pi, "rpm"),
-    "N": (1e-3, "kN"),
-    "N m": (1e-3, "kN m"),
-    "J m-3": (1e-6, "MPa"),
-    "Pa": (1e-6, "MPa"),
-}
+_DRILLERS = {"m s-1": (3600.0, "m/h"), "rad s-1": (30 / np.pi, "rpm"), "N": (1e-3, "kN"), "N m": (1e-3, "kN m")}
+_DRILLERS |= {"J m-3": (1e-6, "MPa"), "Pa": (1e-6, "MPa")}
 """Factor and name of the units of drillers, by SI unit."""
 
 UNITS = ("driller", "si")
 _WIDTH_OF_PAGE = 7.5  # [inch] up to which the tracks are below the founder point
 _TITLE_LETTERS = 18  # of a line above a track
-_TRIM = (2.0, 98.0)
-"""Percentiles between which most values lie. Values further away than these differ are not drawn, but counted."""
-
-_LOG_SPAN = 30.0
-"""Ratio of the largest to the least energy from which its axis is logarithmic."""
+_TRIM = (2.0, 98.0)  # percentiles: values further away than these differ are not drawn, but counted
+_LOG_SPAN = 30.0  # ratio of the largest to the least energy from which its axis is logarithmic
 
 Rows = Float[np.ndarray, " rows"]
 
@@ -96,9 +83,7 @@ def rig(
     specific energy is the power of the impacts, `impact_power`, divided by the volume A R drilled per second.
 
     The founder point is the weight on the bit above which the rate of penetration does not rise; see
-    [vibrojax.fit_rop][].
-
-    The variable `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque.
+    [vibrojax.fit_rop][]. The variable `torque_stick_slip` is (Tmax - Tmin)/(2 Tmean) of the surface torque.
 
     **Arguments:** `source`, `columns`, `where`, `nulls`: as for [vibrojax.read_log][]; `units`: units of pictures and
     summaries, "driller" (m/h, rpm, kN, MPa) or "si". The dataset is in SI units.
@@ -249,11 +234,9 @@ class Rigs(Analysis):
     pictures = (PictureRule("a rig log", lambda held: "specific_energy" in held.variables, rig_picture),)
 
     def run(self, source: AnalysisSource, progress: bool = True) -> xr.Dataset:
-        """Compute the measures, as [vibrojax.rig][] does."""
         return rig(source)
 
     def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, None]:
-        """Return the rows as points over depth or row, in the units of the tracks."""
         down, height = vertical(ds)
         units = {} if ds.attrs.get("drawn_in") == "si" else _DRILLERS
         rows = in_units(ds.drop_vars(down.name, errors="ignore"), units).rename(row=POINT)
@@ -263,7 +246,6 @@ class Rigs(Analysis):
         return self.summary(ds)[::-1]
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        """Return how the log was read, the founder point, the medians of the measures, and what the log can inform."""
         reason, (factor, unit) = FOUNDER_REASONS[int(ds["founder_reason"])], _unit(ds, "N")
         founder, does = float(ds["founder_weight"]), "falls" if float(ds["slope_above"]) < 0 else "does not rise"
         lines = [f"founder point at a weight of {factor * founder:.4g} {unit}; above it the rate {does}"]

@@ -45,14 +45,9 @@ class Reason(IntEnum):
 REASONS = tuple(reason.name.lower().replace("_", "-") for reason in Reason)
 """Names of the reasons as stored in datasets."""
 
-LEAST_SPREAD = 1e-6
-"""Standard deviation of ln(eta) below which values count as equal: no instrument resolves it."""
-
-EXACT = 1e-9
-"""Standard deviation of residuals, or of rates, over the greatest rate, below which it is a rounding error."""
-
-AIC_LIMIT = 2.0
-"""Difference in AIC above which a form is rejected (Burnham and Anderson's rule of thumb)."""
+LEAST_SPREAD = 1e-6  # standard deviation of ln(eta) below which values count as equal: no instrument resolves it
+EXACT = 1e-9  # standard deviation of residuals, or of rates, over the greatest rate, below which it is a rounding error
+AIC_LIMIT = 2.0  # difference in AIC above which a form is rejected (Burnham and Anderson's rule of thumb)
 
 BLOCK_LIMIT = 5.4
 """Evidence by blocks of rows above which a form is rejected.
@@ -139,14 +134,12 @@ FORMS = (
 
 FORMULAS = {form.name: form.formula for form in FORMS}
 
-LOGARITHMIC = ("literal", "percent", "onset")
-"""Names of the three readings of the source's law, eq. 6.4."""
+LOGARITHMIC = ("literal", "percent", "onset")  # the three readings of the source's law, eq. 6.4
 
 BEGINNING = ("onset", "line")
 """Forms whose rate begins at a fitted onset: below it, they predict no penetration, whose noise may be positive."""
 
-SAME_AS_ONSET = ("literal", "percent")
-"""Forms that have the same curve as the onset form if the threshold is unknown."""
+SAME_AS_ONSET = ("literal", "percent")  # forms that have the same curve as the onset form if the threshold is unknown
 
 CONTAINED = {"literal": ("onset",), "percent": ("onset",), "constant": ("onset", "line", "power")}
 """Forms that contain another one as a special case: they are no rivals of it, since they cannot be worse."""

@@ -22,8 +22,7 @@ for k = 2 coefficients, is finite from n = 4 lanes on."""
 LEAST_CLEANED = 30
 """Least number of rows from which wrong rows and a founder weight are sought, and errors follow from blocks of rows."""
 
-LEAST_ROWS = 50
-"""Least number of rows from which the forms are compared by blocks of rows."""
+LEAST_ROWS = 50  # least number of rows from which the forms are compared by blocks of rows
 
 _MOST_BLOCKS, _ROWS_PER_BLOCK = 20, 6
 # Two standard errors, and the probability up to them: 98.5 % between both ends instead of 95.4 %, since the correlation
@@ -60,8 +59,7 @@ _LEAST_SLOPE = 1e-10
 _LEAST_SLOPE_IN_ERRORS = 2.0
 """Slope theta_1 in standard errors below which there is no onset: its Fieller confidence interval is unbounded."""
 
-FAR_WEIGHT, FAR_RATE = "weight far from all others", "rate far from the law"
-"""Reasons why rows are wrong."""
+FAR_WEIGHT, FAR_RATE = "weight far from all others", "rate far from the law"  # reasons why rows are wrong
 
 COEFFICIENTS = ("C", "eta0", "exponent")
 NAMES = [form.name for form in FORMS]

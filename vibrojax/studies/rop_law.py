@@ -48,17 +48,13 @@ DEFAULT_AXES = ("frequency", "v", "point")
 LOSSES = ("soft-l1", "squares")
 """Losses of a residual: SciPy's "soft_l1", scaled by the median absolute deviation, or its square."""
 
-USES = ("no-lane", "fitted", "censored", "left-out", "above-founder")
-"""Flags of the variable `data_use`."""
+USES = ("no-lane", "fitted", "censored", "left-out", "above-founder")  # flags of the variable `data_use`
 
 NO_VALUES = "without values, or with a negative rate"
 _FOR_LAW = frozenset((*known.LAW, WEIGHT, known.ROTATION_SPEED))  # faults in other columns do not stop a fit
 _SAME = 1e-6  # relative difference of thresholds of a group that are one
 _LISTED = 8  # variables of a dataset that a message lists
-_KEPT = (
-    *("scene", "sweep", "parameters", "columns"),
-    *("dialect", "dropped", "rows_read", "notes", "reference_force"),
-)
+_KEPT = ("scene", "sweep", "parameters", "columns", "dialect", "dropped", "rows_read", "notes", "reference_force")
 """Attributes of the data that a fit keeps."""
 
 _FORM, _LANE, _GROUP = "form", "lane", "group"
@@ -69,8 +65,7 @@ SCHEMA = {
     "r_squared": Variable("1", "share of the rate's variance that the form explains", along=_FORM),
     "aic": Variable("1", "Akaike criterion n ln(RSS/n) + 2k of n lanes and k coefficients, RSS in m2 s-2", along=_FORM),
     "cv_error": Variable(
-        "m s-1",
-        "root mean square error of the predictions of each block of rows by a fit to all other blocks",
+        *("m s-1", "root mean square error of the predictions of each block of rows by a fit to all other blocks"),
         along=_FORM,
     ),
     "evidence_against": Variable(
@@ -165,7 +160,7 @@ def fit_rop(
     loss = choice(place.at("robust"), robust or ("soft-l1" if measured else "squares"), LOSSES)
     by = (by,) if isinstance(by, str) else tuple(by)
     lanes, along, sizes, coordinates = _grouped(place, _lanes(place, data), along, by)
-    counts, has_force = np.bincount(lanes[_GROUP]), _has_force(data)
+    counts, has_force = np.bincount(lanes[_GROUP]), measured and FORCE in data.coords
     LOG.info("chosen: along %s, %d groups, loss %s", along, counts.size, loss)
     start = time.monotonic()
     valid, threshold = lanes["valid"], np.full(counts.size, np.nan)
@@ -194,28 +189,22 @@ def fit_rop(
     for name, column in ((f"data_{RELIEF}", lanes["relief"]), (f"data_{RATE}", lanes["rate"]), ("data_use", use)):
         values[name] = np.full((counts.size, counts.max()), 0 if column is use else np.nan)
         values[name][lanes[_GROUP], lanes[_LANE]] = column
-    attributes = dataset_attributes(
-        "fit",
-        f"Rate-of-penetration law: {title_of(data, place.file)}",
-        "\n".join(filter(None, (f"fit {place.file}", str(data.attrs.get("history", ""))))),
-        **{name: data.attrs[name] for name in _KEPT if name in data.attrs},
-        along=along,
-        formulas="; ".join(f"{name}: {formula}" for name, formula in FORMULAS.items()),
-        verdict=supported(
-            values["standing"], values["evidence_against"], NAMES, BLOCK_LIMIT if measured else AIC_LIMIT
-        ),
-        robust=loss,
-    )
+    limit = BLOCK_LIMIT if measured else AIC_LIMIT
+    about = {name: data.attrs[name] for name in _KEPT if name in data.attrs} | {"along": along, "robust": loss}
+    about["formulas"] = "; ".join(f"{name}: {formula}" for name, formula in FORMULAS.items())
+    about["verdict"] = supported(values["standing"], values["evidence_against"], NAMES, limit)
     numbers = {reason: np.unique(lanes["number"][mask].astype(int)) for reason, mask in left_out.items() if mask.any()}
     if measured and numbers:
         rows_left_out = {reason: {"rows": x.size, "lines": line_ranges(x)} for reason, x in numbers.items()}
-        attributes["left_out_rows"] = json.dumps(rows_left_out)
+        about["left_out_rows"] = json.dumps(rows_left_out)
     variables = {}
     for name, x in values.items():
         further = [SCHEMA[name].along] if SCHEMA[name].along else []
         variables[name] = (*sizes, *further), np.reshape(x, [*sizes.values(), *x.shape[1:]])
     form = (_FORM, NAMES, {"units": "1", "long_name": "form of the law"})
-    return xr.Dataset(described(variables, SCHEMA), {**coordinates, _FORM: form}, attributes)
+    command = "\n".join(filter(None, (f"fit {place.file}", str(data.attrs.get("history", "")))))
+    about = dataset_attributes("fit", f"Rate-of-penetration law: {title_of(data, place.file)}", command, **about)
+    return xr.Dataset(described(variables, SCHEMA), {**coordinates, _FORM: form}, about)
 
 
 # Data
@@ -235,9 +224,9 @@ def _read(data: Data, columns: Columns, where: Where, nulls: Nulls) -> tuple[Pla
     if columns:
         raise place.error("has its names and units already; `columns` is for a CSV")
     if where or nulls:
-        fault = f"`{'where' if where else 'nulls'}` is for a rig log; select lanes of a dataset by its method sel"
-        raise place.error(fault)
-    from vibrojax.io.dataset import open_dataset
+        fault = f"`{'where' if where else 'nulls'}` is for a rig log"
+        raise place.error(f"{fault}; select lanes of a dataset by its method sel")
+    from vibrojax.io.dataset import open_dataset  # a log needs no netCDF
 
     return place, data if isinstance(data, xr.Dataset) else open_dataset(Path(str(data)))
 
@@ -245,9 +234,8 @@ def _read(data: Data, columns: Columns, where: Where, nulls: Nulls) -> tuple[Pla
 def _read_rows(place: Place, source: Path | pd.DataFrame, columns: Columns, where: Where, nulls: Nulls) -> xr.Dataset:
     """Read a rig log into a dataset along `point`, the rows.
 
-    Without a relief, the relief is mean_force/threshold; a weight on bit is a mean force. If the threshold is
-    "unknown", or not given with a log of a rig, the relief is mean_force over its median, the attribute
-    `reference_force` [N].
+    Without a relief, it is mean_force/threshold; a weight on bit is a mean force. If the threshold is "unknown", or not
+    given with a log of a rig, the relief is mean_force over its median, the attribute `reference_force` [N].
     """
     columns = known.checked_columns(columns)
     if is_unknown := columns.get(THRESHOLD, "").strip() == "unknown":
@@ -286,10 +274,6 @@ def _read_rows(place: Place, source: Path | pd.DataFrame, columns: Columns, wher
     return data.assign_coords(point=number).set_coords([str(name) for name in data if name not in (RATE, RELIEF)])
 
 
-def _has_force(data: xr.Dataset) -> bool:
-    return "dialect" in data.attrs and FORCE in data.coords
-
-
 def _lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
     """Return the lanes, broadcast, with their coordinates: `relief`, `rate`, `weight`, `number` and `valid`.
 
@@ -313,7 +297,7 @@ def _lanes(place: Place, data: xr.Dataset) -> xr.Dataset:
         valid = valid & ~data["regime"].isin([FAILED, IRREGULAR])
     if "status" in data:
         valid = valid & (data["status"] == 0)
-    weight = columns[FORCE].astype(float) if _has_force(data) else relief
+    weight = columns[FORCE].astype(float) if "dialect" in data.attrs and FORCE in data.coords else relief
     number = data[LINE] if LINE in data.coords else xr.zeros_like(relief)
     parts = {"relief": relief, "rate": rate, "weight": weight, "number": number, "valid": valid}
     together = zip(parts, xr.broadcast(*parts.values()), strict=True)

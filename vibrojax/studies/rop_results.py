@@ -22,22 +22,7 @@ from vibrojax.pictures.colours import form_colour, value_axis, value_of
 from vibrojax.pictures.contents import FORM, POINT, law_in, named_groups
 from vibrojax.pictures.layout import LEGEND_WIDTH, STACK_MARGINS, at, facets, is_narrow, stacked
 from vibrojax.pictures.lines import Series, curves, longest_axis, row_per_facet, value_lines
-from vibrojax.pictures.plots import (
-    FAINT,
-    Area,
-    Axis,
-    Dash,
-    Key,
-    Layer,
-    Line,
-    Look,
-    Plot,
-    Sheet,
-    bars,
-    dots,
-    key,
-    upright,
-)
+from vibrojax.pictures.plots import FAINT, Area, Axis, Key, Layer, Line, Look, Plot, Sheet, bars, dots, key, upright
 from vibrojax.pictures.style import IMPACT
 from vibrojax.studies.analysis import Analysis, PictureRule, SummaryPart
 from vibrojax.studies.rop_forms import AIC_LIMIT, BLOCK_LIMIT, FORMS, FORMULAS, LOGARITHMIC, SAME_AS_ONSET, Standing
@@ -52,7 +37,7 @@ _KEPT = ("undecided", "contains-chosen", "chosen")
 
 # The power law often coincides with the straight line, the literal form with the onset form: dashed and on top, they
 # leave the colour of the other form visible.
-_DASHES: dict[str, Dash] = {"power": (0.0, (2.5, 2.0)), "literal": (0.0, (1.5, 2.5))}
+_DASHES: dict[str, Any] = {"power": (0.0, (2.5, 2.0)), "literal": (0.0, (1.5, 2.5))}
 _USES: dict[str, tuple[str, Look]] = {
     "fitted": ("data", {"edge_width": 0.0}),
     "censored": ("no penetration (censored)", {"face": "white", "edge_width": 0.9}),
@@ -64,6 +49,7 @@ _MOST_GROUPS, _MOST_COLUMNS = 6, 3
 _PANEL_WIDTH, _PANEL_HEIGHT = 2.6, 2.8  # of a group [inch]
 _CLOUD = 100  # lanes of a group from which on they are a faint cloud below the curves
 _CURVE_POINTS = 200
+Cell = tuple[int, int]  # row and column of a panel
 _MOST_EVIDENCE = 30.0  # against a form, up to which it is drawn
 
 
@@ -89,29 +75,18 @@ def groups_of(fit: xr.Dataset) -> dict[str, pd.DataFrame]:
     return groups
 
 
-def founder_of(group: pd.DataFrame) -> Founder:
-    """Return the founder weight of a group."""
-    return Founder(*(float(group[f"founder_{name}"].iloc[0]) for name in Founder._fields[:4]))
-
-
 def law_facts(fit: xr.Dataset) -> dict[str, Any]:
     """Return the summary of a fit as a dictionary of JSON values: of each group, the values of every form.
 
     **Arguments:** `fit`: a dataset that `fit_rop` returned.
     """
-    of_forms = [str(name) for name, x in fit.items() if FORM in x.dims]
-    groups = []
+    of_forms, groups = [str(name) for name, x in fit.items() if FORM in x.dims], list[dict[str, Any]]()
     for title, group in groups_of(fit).items():
         first = group.iloc[:1].to_dict("records")[0]
-        groups.append(
-            {
-                "name": title,
-                "coordinates": {str(name): first[str(name)] for name in fit.coords if name in first},
-                "forms": group[of_forms].to_dict("index"),
-                **{f"founder_{name}": float(first[f"founder_{name}"]) for name in Founder._fields[:4]},
-                "recommended": recommended(fit, group),
-            }
-        )
+        coordinates = {str(name): first[str(name)] for name in fit.coords if name in first}
+        groups.append({"name": title, "coordinates": coordinates, "forms": group[of_forms].to_dict("index")})
+        groups[-1] |= {f"founder_{name}": float(first[f"founder_{name}"]) for name in Founder._fields[:4]}
+        groups[-1] |= {"recommended": recommended(fit, group)}
     facts: dict[str, Any] = {"along": str(fit.attrs["along"]), "columns": table_of(fit, "columns") or None}
     if "dialect" in fit.attrs:
         facts |= {name: attribute_of(fit, name) for name in ("dialect", "rows_read", "dropped", "notes")}
@@ -143,17 +118,14 @@ def tables(fit: xr.Dataset) -> list[str]:
         remarks = remarks.assign(standing=group["standing"].where(is_kept, ""))
         shown[""] = [", ".join(dict.fromkeys(filter(None, row))) for row in remarks.to_numpy()]
         lines += [f"  {line}".rstrip() for line in shown.rename_axis(columns="form").to_string().splitlines()]
-    return lines[1:] + _further(len(groups))
-
-
-def _further(groups: int) -> list[str]:
-    return [f"and {counted(groups - _GROUPS_LISTED, 'group')} more"] * (groups > _GROUPS_LISTED)
+    return lines[1:] + [f"and {counted(len(groups) - _GROUPS_LISTED, 'group')} more"] * (len(groups) > _GROUPS_LISTED)
 
 
 def _listed(title: str, lines: Mapping[str, str]) -> list[str]:
     """Return a title above the texts of the first groups and the number of further ones; nothing without texts."""
-    texts = [f"  {group}: {text}" for group, text in lines.items()]
-    return [title, *texts[:_GROUPS_LISTED], *_further(len(texts))] if texts else []
+    more = [f"and {counted(len(lines) - _GROUPS_LISTED, 'group')} more"] * (len(lines) > _GROUPS_LISTED)
+    texts = [f"  {group}: {text}" for group, text in lines.items()][:_GROUPS_LISTED]
+    return [title, *texts, *more] if texts else []
 
 
 def recommended(fit: xr.Dataset, group: pd.DataFrame) -> dict[str, Any] | None:
@@ -203,7 +175,16 @@ def verdict(fit: xr.Dataset) -> list[str]:
     if not judged:
         return [*lines, "no form can be told from the lanes that are there", *limits]
     how = "by the rates of each block of rows, predicted from the other blocks (CV)" if by_blocks else "by AIC"
-    compared = {title: _comparison(group["standing"]) for title, group in judged.items()}
+    compared = {}
+    for title, group in judged.items():
+        standing = group["standing"]
+        chosen, rivals = str(standing.eq("chosen").idxmax()), list(standing.index[standing == "undecided"])
+        others = "every form that does not contain it" if (standing == "contains-chosen").any() else "the other forms"
+        compared[title] = f"the data support {chosen}, {FORMULAS[chosen]}, against {others}"
+        if rivals:
+            compared[title] = f"these data cannot tell {chosen} from {', '.join(rivals)}"
+        elif not (standing == "rejected").any():
+            compared[title] = f"these data reject no form, of which {chosen} has the fewest coefficients"
     lines += _listed(f"{how}, in {len(judged)} of {len(groups)}:", compared)
     if len(judged) > 1:
         together = str(fit.attrs["verdict"]).replace("none", "no single form")
@@ -222,7 +203,7 @@ def verdict(fit: xr.Dataset) -> list[str]:
         )
     weights, onsets, choices = {}, {}, {}
     for title, group in groups.items():
-        founder = founder_of(group)
+        founder = Founder(*(float(group[f"founder_{name}"].iloc[0]) for name in Founder._fields[:4]))
         if founder.is_known:
             fall, error = (_PER_HOUR * _PER_STEP * value for value in (founder.fall, founder.fall_stderr))
             above = f"falls by {fall:.3g} ± {error:.2g} m/h per 10 kN" if founder.falls else "does not rise"
@@ -249,17 +230,6 @@ def verdict(fit: xr.Dataset) -> list[str]:
     how = ", by blocks of rows), of the form that the data support, or else" if by_blocks else "),"
     title = f"recommended C (95 % interval{how} of the likeliest reading of the log law:"
     return [*lines, *limits, *_listed(title, choices)]
-
-
-def _comparison(standing: pd.Series) -> str:
-    """Return the form that a group supports, or its rivals, by the standing of each form."""
-    chosen, rivals = str(standing.eq("chosen").idxmax()), list(standing.index[standing == "undecided"])
-    if rivals:
-        return f"these data cannot tell {chosen} from {', '.join(rivals)}"
-    if not (standing == "rejected").any():
-        return f"these data reject no form, of which {chosen} has the fewest coefficients"
-    others = "every form that does not contain it" if (standing == "contains-chosen").any() else "the other forms"
-    return f"the data support {chosen}, {FORMULAS[chosen]}, against {others}"
 
 
 # The picture
@@ -292,24 +262,21 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     is_cloud = fit["data_use"].sizes["lane"] >= _CLOUD  # many lanes are small and faint, below the curves
     look = Look(size=1.6, order=1.5, colour=FAINT) if is_cloud else Look(size=4.2, order=3.0)
     looks = {use: look | about for use, (_, about) in _USES.items()}
-    c_scale = (_PER_HOUR, "m/h") if is_log(fit) else scale(fit["C"])
+    c_unit = (_PER_HOUR, "m/h") if is_log(fit) else scale(fit["C"])
     places = groups.places(columns)
     deep, wide = (1 + max(ends) for ends in zip(*places, strict=True))
     plots = [
-        _group_plot(group, title, (row, column), (row + 1, column) not in places, looks, c_scale)
+        _group_plot(group, title, (row, column), (row + 1, column) not in places, looks, c_unit)
         for (row, column), (title, group) in zip(places, groups, strict=True)
     ]
     used = {flag for group in groups.data for flag in np.unique(group["data_use"])}
     uses = [name for flag, name in flags(fit["data_use"]).items() if flag in used and name in _USES]
     keys: list[list[Key]] = [[], [dots(label=_USES[use][0], **looks[use] | {"size": 4.5}) for use in uses]]
     for name in map(str, fit[FORM].values):
-        formula = FORMULAS[name]
-        if len(groups) == 1:
-            of = fit.sel({FORM: name}).squeeze()
-            against = float(f"{float(of['evidence_against']):.3g}")
+        formula, of = FORMULAS[name], fit.sel({FORM: name}).squeeze()
+        if len(groups) == 1 and np.isfinite(against := float(f"{float(of['evidence_against']):.3g}")):
             is_chosen = int(of["standing"]) == Standing.CHOSEN
-            if np.isfinite(against):
-                formula += "\nchosen" if is_chosen else f"\nevidence against {number(against)}"
+            formula += "\nchosen" if is_chosen else f"\nevidence against {number(against)}"
         keys[0].append(key(f"{name}: {formula}", dash=_DASHES.get(name, "-"), colour=form_colour(name)))
     size = max(_PANEL_WIDTH * wide, 4.5) + LEGEND_WIDTH, _PANEL_HEIGHT * deep + STACK_MARGINS
     above, x = Sheet(plots, size, keys=keys, **margins(fit, *notes)), longest_axis(fit)
@@ -317,10 +284,8 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         return above
     shown = fit.sortby(x.name) if x.is_number else fit
     shown = in_units(shown, _PER_HOUR_OF_LOGS if is_log(fit) else {})
-    shown = shown.assign(
-        {name: shown[name].where(shown["standing"] != Standing.REJECTED) for name in ("C", "C_stderr")}
-    )
-    shown = shown.assign(evidence_against=np.minimum(shown["evidence_against"], _MOST_EVIDENCE))
+    kept_c = {name: shown[name].where(shown["standing"] != Standing.REJECTED) for name in ("C", "C_stderr")}
+    shown = shown.assign(kept_c | {"evidence_against": np.minimum(shown["evidence_against"], _MOST_EVIDENCE)})
 
     def draw(lines: list[Series], name: str) -> Plot:
         value = value_of(shown[name])
@@ -344,16 +309,11 @@ def law_lines(fit: xr.Dataset) -> Sheet:
 
 
 def _group_plot(
-    group: xr.Dataset,
-    title: str,
-    place: tuple[int, int],
-    is_last: bool,
-    looks: dict[str, Look],
-    c_scale: tuple[float, str],
+    group: xr.Dataset, title: str, place: Cell, is_last: bool, looks: dict[str, Look], c_unit: tuple[float, str]
 ) -> Plot:
     """Draw the lanes of a group, and the curve of each form up to the founder weight and above it.
 
-    `c_scale`: factor and unit of C, in which all groups print it.
+    `c_unit`: factor and name of the unit of C, in which all groups print it.
     """
     scale_of_rate, unit = (_PER_HOUR, "m/h") if is_log(group) else scale(group["data_rate_of_penetration"])
     threshold = float(group["data_threshold"])  # the mean force in kN is the abscissa where it is known
@@ -369,9 +329,7 @@ def _group_plot(
     low, high, founder = relief[seen].min(), relief[seen].max(), float(group["founder_weight"]) / threshold
     end = founder if founder < high else high
     eta = np.linspace(low, end, _CURVE_POINTS)
-    for form in FORMS:
-        if form.name not in group[FORM].values:
-            continue
+    for form in (form for form in FORMS if form.name in group[FORM].values):
         of = group.sel({FORM: form.name})
         values, dash = [float(of[part]) for part in COEFFICIENTS], _DASHES.get(form.name, "-")
         curve = scale_of_rate * form.rate(eta, *values)
@@ -385,8 +343,8 @@ def _group_plot(
             fall = scale_of_rate * float(group["founder_fall"]) * threshold * (high - end)
             layers.append(Line([across * end, across * high], [curve[-1], curve[-1] - fall], **look))
         if int(of["standing"]) == Standing.CHOSEN and not (group["standing"] == Standing.UNDECIDED).any():
-            c, half = (c_scale[0] * float(of[part]) for part in ("C", "C_stderr"))
-            title = f"{title}\nC = {c:.3g} ± {number(float(f'{half:.1g}'))} {pretty_unit(c_scale[1])}".strip()
+            c, half = (c_unit[0] * float(of[part]) for part in ("C", "C_stderr"))
+            title = f"{title}\nC = {c:.3g} ± {number(float(f'{half:.1g}'))} {pretty_unit(c_unit[1])}".strip()
     if end < high:
         layers.append(upright(across * end, dash=":", width=1.0, label="founder weight"))
     # Neither weights beyond reason nor the curve of a form far from the data stretch the axes.

@@ -1,7 +1,7 @@
 """The analysis `tolerance`: a machine at samples of its tolerance box, and the search for extremes in it."""
 
 import json
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -16,6 +16,7 @@ from vibrojax.io.attributes import flags
 from vibrojax.io.identity import IDENTITY
 from vibrojax.io.kinds import dataset_attributes
 from vibrojax.io.variables import VARIABLES, Variable, described
+from vibrojax.lanes.labels import sweep_variables
 from vibrojax.maps.bounds import MAX_TOLERANCES, corners, draws
 from vibrojax.maps.dataset import attributes, certified
 from vibrojax.maps.machines import several_and_single
@@ -41,38 +42,25 @@ PLACES = ("nominal", "corner", "edge", "interior", "refined")
 
 REFINED = PLACES.index("refined")
 
-INTERIOR_SAMPLES = 64
-"""Number of Sobol points inside the box: a power of two, for which the points are balanced."""
+INTERIOR_SAMPLES = 64  # number of Sobol points inside the box: a power of two, for which the points are balanced
 
-QUANTITIES = (
-    "impact_velocity",
-    "impact_energy",
-    "impact_power",
-    "period",
-    "peak_impact_force",
-    "rate_of_penetration",
-    "specific_energy",
-)
+QUANTITIES: tuple[str, ...] = ("impact_velocity", "impact_energy", "impact_power", "period", "peak_impact_force")
+QUANTITIES += ("rate_of_penetration", "specific_energy")
 """Variables whose least and greatest value of the samples is stored."""
 
 FIRST_STEP, LEAST_STEP = 0.25, 0.01
 """First and smallest step of the search, in half-widths: at the least step a smooth extreme is exact to 1e-4 of the
 change over the box."""
 
-SHRINKAGE = 0.4
-"""Factor of the step after a round that found nothing more extreme."""
-
-MAX_ROUNDS = 12
-"""Limit of the rounds, each of which is one batch of lanes."""
+SHRINKAGE = 0.4  # factor of the step after a round that found nothing more extreme
+MAX_ROUNDS = 12  # limit of the rounds, each of which is one batch of lanes
 
 SAME_POINT, SAME_VALUE = 1e-9, 1e-12
 """Distance in half-widths within which two points count as one, and relative range within which a quantity does."""
 
 Units = Float[np.ndarray, "samples dimensions"]
 
-_WORDS = {"least": "least", "most": "greatest"}
-
-_TOLERANCE = "tolerance_"
+_WORDS = {"least": ("least", -1), "most": ("greatest", 1)}  # in meanings, and the sign of what is then greatest
 _MARKERS = "os^Dv"
 _NOMINAL: Look = {"colour": "#999999", "width": 0.7, "dash": "--"}
 _NOMINAL_POINT = dots(marker="*", size=11.0, colour=IMPACT, edge="white", edge_width=0.6, order=4.0)
@@ -82,16 +70,20 @@ _DRAWN = ("impact_velocity", "impact_energy", "rate_of_penetration")
 
 def toleranced(ds: xr.Dataset) -> list[str]:
     """Return the names of the parameters that have a tolerance."""
-    names = [name.removeprefix(_TOLERANCE) for name in ds.attrs if name.startswith(_TOLERANCE)]
+    names = (name.removeprefix("tolerance_") for name in ds.attrs if name.startswith("tolerance_"))
     return [name for name in names if name in ds.coords]
+
+
+def _along_starts(ds: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
+    """Return a dataset along starts, and their names, of which there is none if the scene has no starts."""
+    lanes = ds if "start" in ds.dims else ds.expand_dims("start")
+    return lanes, [str(name) for name in lanes["start"].values] if "start" in lanes.coords else [""]
 
 
 def extremes_picture(ds: xr.Dataset) -> Sheet:
     """Draw impact velocity, energy and rate of penetration of all samples over each parameter with a tolerance."""
-    names = toleranced(ds)
+    names, (lanes, starts) = toleranced(ds), _along_starts(ds)
     rows = [name for name in _DRAWN if name in ds and ds[name].notnull().any()] or ["period"]
-    lanes = ds if "start" in ds.dims else ds.expand_dims("start")
-    starts = [str(name) for name in np.atleast_1d(lanes["start"].values)] if "start" in lanes.coords else [""]
     edge: Look = {"edge": "#4D4D4D", "edge_width": 0.4}
     plots = []
     for row, quantity in enumerate(rows):
@@ -140,26 +132,20 @@ SAMPLE_VARIABLES = {
 class ToleranceBox:
     """A checked box.
 
-    - `tables`: tables of a sweep, without its points; `nominal`, `half_widths`: nominal values and half-widths by name.
+    - `tables`: tables of a sweep, without its points; `pairs`: nominal value and half-width by name.
     """
 
     tables: dict[str, Any]
-    nominal: dict[str, float]
-    half_widths: dict[str, float]
-
-    def points(self, units: Units) -> dict[str, np.ndarray]:
-        """Return the parameters of points by name; `units`: in half-widths from the nominal point."""
-        return {name: x + self.half_widths[name] * units[:, k] for k, (name, x) in enumerate(self.nominal.items())}
+    pairs: dict[str, tuple[float, float]]
 
     def sweep_over(self, units: Units) -> Sweep:
-        """Return the sweep over points, with the text of a sweep file from which the lanes can be run again."""
-        points = {name: column.tolist() for name, column in self.points(units).items()}
+        """Return the sweep over points, from whose text the lanes can be run again; `units`: in half-widths."""
+        points = {name: (x + width * units[:, k]).tolist() for k, (name, (x, width)) in enumerate(self.pairs.items())}
         return read_sweep({**self.tables, "points": points})
 
     @cached_property
     def sweep(self) -> Sweep:
-        """The sweep over the samples of `sample_box`."""
-        return self.sweep_over(sample_box(len(self.nominal))[0])
+        return self.sweep_over(sample_box(len(self.pairs))[0])
 
 
 def sample_box(dimensions: int) -> tuple[Float[np.ndarray, "samples dimensions"], np.ndarray]:
@@ -171,13 +157,13 @@ def sample_box(dimensions: int) -> tuple[Float[np.ndarray, "samples dimensions"]
     return np.concatenate(groups), np.repeat(np.arange(len(groups)), [len(group) for group in groups])
 
 
-def tolerance_variables(names: Container[str]) -> dict[str, Variable]:
-    """Return the variables that are added to `names`, the variables of the lanes."""
+def tolerance_variables(lanes: Mapping[str, Variable]) -> dict[str, Variable]:
+    """Return the variables that are added to the variables of the lanes."""
     variables = dict(SAMPLE_VARIABLES)
-    for name, (word, text) in product((name for name in QUANTITIES if name in names), _WORDS.items()):
+    for name, (word, (text, _)) in product((name for name in QUANTITIES if name in lanes), _WORDS.items()):
         meaning = f"{text} {VARIABLES[name].long_name.removeprefix(f'{text} ')} of the samples"
         where = f"number of the sample with {name}_{word}; -1: no sample has a value"
-        variables[f"{name}_{word}"] = Variable(VARIABLES[name].units, meaning)
+        variables[f"{name}_{word}"] = Variable(lanes[name].units, meaning)
         variables[f"{name}_{word}_sample"] = Variable("1", where, np.int32)
     return variables
 
@@ -208,17 +194,11 @@ def tolerance(
       `stuck`, as in a sweep.
     - `run`: settings of the simulation, as in the table `[run]` of a sweep file.
 
-    **Returns:** a dataset.
-
-    - For each sample and start: the variables of a sweep. Variables along `sample`: the parameters, and `place`, the
-      position of the sample in the tolerance box (nominal, corner, edge, interior or refined). Sample 0 is the nominal
-      point.
-    - Variables along `start`: the extremes `NAME_least` and `NAME_most` of period, impact velocity and other variables
-      over the samples, and the indices `NAME_least_sample` and `NAME_most_sample` of the samples with the extremes (-1
-      if there is none).
-    - `regime_share`: share of samples in each regime; `regime_kept`: share of samples in the regime of the nominal
-      point; `irregular_share`: share of irregular, undecided or failed samples. Shares leave out *refined* samples,
-      which the search for extremes adds.
+    **Returns:** a dataset with the variables of a sweep for each sample and start. Along `sample` are parameters and
+    `place`, the position of the sample in the box; sample 0 is the nominal point. Along `start` are the extremes
+    `NAME_least` and `NAME_most` of period, impact velocity and other variables, with the numbers of their samples
+    (`NAME_least_sample`, -1 if there is none), and the shares `regime_share`, `regime_kept` (samples in the regime of
+    the nominal point) and `irregular_share`. Shares leave out the refined samples.
 
     **Raises:** `InputError` for an invalid name or value, or if no parameter has a tolerance.
 
@@ -263,39 +243,31 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
         for name, (_, width) in pairs.items():
             if not 0 < width < np.inf:
                 raise place.at(name).error(f"{shown(table[name])} is not {noun}")
-        nominal, half_widths = ({name: pair[k] for name, pair in pairs.items()} for k in (0, 1))
         for end in (-1.0, 1.0):  # errors name the parameter, not a row of the points
-            read_point(place, scene, fixed | {name: x + end * half_widths[name] for name, x in nominal.items()})
+            read_point(place, scene, fixed | {name: x + end * width for name, (x, width) in pairs.items()})
         tables: dict[str, Any] = {"scene": scene, "title": "Behaviour over the tolerances", "parameters": fixed}
         tables |= {"run": {name: x for name, x in run.items() if x is not None}, "unusual": True}
         if start is not None:
             several = isinstance(start, (list, tuple)) and any(isinstance(item, (str, list, tuple)) for item in start)
             tables["starts"] = start if several else [start]
-        box = ToleranceBox(tables, nominal, half_widths)
+        box = ToleranceBox(tables, pairs)
         if box.sweep.system.section is None:
             raise place.at("scene").error(f"{shown(box.sweep.scene)} has no section, so its motions have no regimes")
         return box
 
     def identity(self, spec: ToleranceBox) -> dict[str, object]:
-        widths = {f"tolerance_{name}": width for name, width in spec.half_widths.items()}
-        return spec.sweep.identity() | widths
+        return spec.sweep.identity() | {f"tolerance_{name}": width for name, (_, width) in spec.pairs.items()}
 
     def file_name(self, spec: ToleranceBox) -> str:
         return f"{spec.sweep.scene}-tolerance.nc"
 
     def compute(self, spec: ToleranceBox, progress: bool = True) -> xr.Dataset:
-        units, places = sample_box(len(spec.nominal))
-        drawn = len(units)
-        sampled = run_sweep(spec.sweep, progress=progress)
-
-        def simulate(units: Units) -> xr.Dataset:
-            return run_sweep(replace(spec.sweep, points=spec.points(units)), progress=False)
-
-        ds, units, tried = refine(units, sampled, simulate)
-        if ds is not sampled:
-            sweep = spec.sweep_over(units)
-            counts = certified(sweep, {str(name): x.values for name, x in ds.data_vars.items()})
-            ds = ds.assign_attrs(attributes(sweep, json.loads(ds.attrs["solver"]), counts, ds.attrs["wall_time_s"]))
+        units, places = sample_box(len(spec.pairs))
+        drawn, sampled = len(units), run_sweep(spec.sweep, progress=progress)
+        ds, units, tried = refine(units, sampled, lambda units: run_sweep(spec.sweep_over(units), progress=False))
+        sweep = spec.sweep_over(units)
+        counts = certified(sweep, {str(name): x.values for name, x in ds.data_vars.items()})
+        ds = ds.assign_attrs(attributes(sweep, json.loads(ds.attrs["solver"]), counts, ds.attrs["wall_time_s"]))
         ds = ds.rename(point="sample")
         regime = ds["regime"].transpose("sample", ...)
         rest, regimes = regime.dims[1:], regime.values[:drawn]
@@ -307,24 +279,20 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
             "regime_kept": (rest, (regimes == regimes[0]).mean(axis=0)),
             "irregular_share": (rest, irregular),
         }
-        for name in (name for name in QUANTITIES if name in ds):
-            x = ds[name].transpose("sample", ...).values
-            for word, sign, reduce in (("least", -1, np.fmin.reduce), ("most", 1, np.fmax.reduce)):
-                index = np.where(np.isnan(x), -np.inf, sign * x).argmax(axis=0)
-                table[f"{name}_{word}"] = rest, reduce(x, axis=0)
-                table[f"{name}_{word}_sample"] = rest, np.where(np.isnan(x).all(axis=0), -1, index)
-        ds = ds.assign(described(table, tolerance_variables([*map(str, ds)]))).assign_coords(label=list(REGIMES))
-        for name, word in product(QUANTITIES, _WORDS):
-            if name in ds:  # an own system may measure it in another unit
-                ds[f"{name}_{word}"].attrs["units"] = ds[name].attrs["units"]
-        about = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {spec.sweep.scene}")
-        about |= {f"tolerance_{name}": width for name, width in spec.half_widths.items()}
+        for name, (word, (_, sign)) in product((name for name in QUANTITIES if name in ds), _WORDS.items()):
+            x = sign * ds[name].transpose("sample", ...).values
+            index = np.where(np.isnan(x), -np.inf, x).argmax(axis=0)
+            table[f"{name}_{word}"] = rest, sign * np.fmax.reduce(x, axis=0)
+            table[f"{name}_{word}_sample"] = rest, np.where(np.isnan(x).all(axis=0), -1, index)
+        schema = tolerance_variables(sweep_variables(sweep.system))
+        ds = ds.assign(described(table, schema)).assign_coords(label=list(REGIMES))
+        about = dataset_attributes("tolerance", str(ds.attrs["title"]), f"tolerance {sweep.scene}")
+        about |= {f"tolerance_{name}": width for name, (_, width) in spec.pairs.items()}
         obtained = f"{drawn} samples of the box, and {tried} points of a search from the extreme ones by sensitivities"
         bounds = "they are not bounds of the box" + ", in which motions are irregular" * bool(irregular.any())
         return ds.assign_attrs({**about, "extremes": f"extremes of {obtained}; {bounds}"})
 
     def page_cells(self, ds: xr.Dataset) -> tuple[xr.Dataset, Sweep] | None:
-        """Return the samples as points of a sweep, with their variables; None for a system without a name."""
         points = ds[[name for name in ds.data_vars if "sample" in ds[name].dims]].rename(sample=POINT)
         points.attrs.pop(IDENTITY, None)  # it states the box, which the sweep does not have
         try:
@@ -333,15 +301,12 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
             return None
 
     def summary(self, ds: xr.Dataset) -> list[SummaryPart]:
-        lanes = ds if "start" in ds.dims else ds.expand_dims("start")
-        starts = [str(start) for start in lanes["start"].values] if "start" in lanes.coords else [""]
+        lanes, starts = _along_starts(ds)
         shares = lanes["irregular_share"].values if "irregular_share" in lanes else np.zeros(1)
         facts, lines = {}, list[str]()
         if (shares > 0).any():
-            where = [
-                f"{100 * x:.3g} % of the samples" + f" from {start}" * bool(start)
-                for x, start in zip(shares, starts, strict=True)
-            ]
+            where = [f"{100 * x:.3g} % of the samples from {start}" for x, start in zip(shares, starts, strict=True)]
+            where = [text.removesuffix(" from ") for text in where]
             lines.append(
                 f"irregular motions in the box ({', '.join(where)}): extremes depend on the time of observation, and "
                 "other points of the box may be far beyond them"
@@ -354,8 +319,6 @@ class Tolerances(MachineAnalysis[ToleranceBox]):
 
 
 def _start_summary(ds: xr.Dataset, lane: xr.Dataset) -> tuple[dict[str, object], list[str]]:
-    """Return the behaviour from one start, as facts and as lines of text."""
-
     def place(sample: int) -> dict[str, float]:
         return {name: float(ds[name][sample]) for name in toleranced(ds)}
 
