@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from drawn import LONG, basin, cells, lanes, line, plane, points, returns, rock, sample, scales, sheet_of, square
+from drawn import LONG, basin, cells, lanes, plane, points, returns, rock, sample, scales, sheet_of, square
 from matplotlib.collections import QuadMesh
 from refusals import command_refusal, refusal
 
@@ -59,7 +59,7 @@ def test_selection_by_value():
     ds = basin(plane())
     assert select(ds, {"start_v2": 3.0}).sizes["start"] == 12
     assert select(points(), {"start": "stuck"}).sizes["point"] == 20
-    vector = select(basin(line(3)), {"start": "[0,0,-0.05,0]"})
+    vector = select(basin({"x2": np.linspace(-0.05, 0.05, 3)}), {"start": "[0,0,-0.05,0]"})
     assert float(vector["start_x2"]) == -0.05
 
 
