@@ -13,14 +13,8 @@ PATIENCE = 60_000
 """Timeout [ms] for a page, long enough for slow or busy machines."""
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-]
+ARGUMENTS = ["--no-sandbox", "--no-first-run"]
+ARGUMENTS += [f"--disable-{part}" for part in ("gpu", "background-networking", "component-update", "sync")]
 
 
 @contextmanager
@@ -33,9 +27,8 @@ def chromium() -> Iterator[Any]:
         try:
             browser = tools.chromium.launch(executable_path=binary, args=ARGUMENTS)
         except playwright.Error as error:
-            reason = (
-                f"{binary} cannot be started" if binary else "no Chromium: playwright install chromium, or apt install"
-            )
+            missing = "no Chromium: playwright install chromium, or apt install"
+            reason = f"{binary} cannot be started" if binary else missing
             pytest.skip(f"{reason} ({str(error).splitlines()[0][:100]})")
         yield browser
         browser.close()

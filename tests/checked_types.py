@@ -22,11 +22,9 @@ ONE_THREAD = threading.Lock()
 
 
 def load_in_threads():
-    """Let two threads import modules of the package at once. CPython before 3.11.9 and 3.12.3 counts the depth of all
-    syntax trees that are built in one variable, so that a second one raises a SystemError (python/cpython#106905). And
-    jaxtyping's loader replaces a function of importlib while it runs a module; a second thread would restore it too
-    early, and exchange compiled files with and without checks. Here, one thread at a time reads and compiles, and
-    modules run without the lock."""
+    """Let two threads import modules of the package at once: one at a time reads and compiles, and modules run without
+    the lock. CPython before 3.11.9 and 3.12.3 fails if two build syntax trees (python/cpython#106905). And jaxtyping's
+    loader replaces a function of importlib while it runs a module, which a second thread would restore too early."""
 
     def get_code(loader, name):
         cache = functools.partial(_import_hook._optimized_cache_from_source, loader._typechecker.get_hash())
@@ -38,9 +36,9 @@ def load_in_threads():
 
 
 def checked(thing=None, *, typechecker=None):
-    """Return a function or dataclass that checks all its annotations in one pass at each call. It replaces the
-    decorator of jaxtyping's import hook. That decorator checks arguments twice to explain an error, and rewrites the
-    checks of nested functions at each call of the outer one. Nested functions and generators are not checked."""
+    """Return a function or dataclass that checks all its annotations in one pass at each call. The decorator of
+    jaxtyping's import hook, which it replaces, checks arguments twice, and rewrites the checks of nested functions at
+    each call of the outer one. Nested functions and generators are not checked."""
     if thing is None:
         return checked
     if inspect.isclass(thing):
@@ -55,27 +53,23 @@ def checked(thing=None, *, typechecker=None):
     # A generator would check its arguments only with its first value, among the dimensions of another call.
     if "<locals>" in thing.__qualname__ or inspect.isgeneratorfunction(thing):
         return thing
-    strict = None  # built at the first call, because a process calls few of the functions
     calls = 0
+
+    @functools.cache  # at the first call, because a process calls few of the functions
+    def strict():
+        try:
+            hints = typing.get_type_hints(thing, include_extras=True)
+        except NameError:  # an import for type checkers only
+            return thing
+        return thing if "typing.Self" in str(hints) else beartype(thing)
 
     @functools.wraps(thing)
     def call(*args, **kwargs):
-        nonlocal strict, calls
+        nonlocal calls
         calls += 1
         if (calls > FULLY_CHECKED_CALLS and calls % CALLS_PER_CHECK) or jaxtyping.config.jaxtyping_disable:
             return thing(*args, **kwargs)
-        if strict is None:
-            strict = beartype(thing) if annotations_are_known(thing) else thing
         with CONTEXT:  # a dimension's name means one number within a call
-            return strict(*args, **kwargs)
+            return strict()(*args, **kwargs)
 
     return call
-
-
-def annotations_are_known(function):
-    """Return whether all annotations can be evaluated here; Self and imports for type checkers only prevent it."""
-    try:
-        hints = typing.get_type_hints(function, include_extras=True)
-    except NameError:
-        return False
-    return "typing.Self" not in str(hints)

@@ -40,10 +40,9 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# The tests check annotations, including array shapes, at no cost to users. Exceptions are functions that users call
-# with any argument (modules `run` and `read`), because their errors name the wrong argument; settings/values.py, whose
-# warnings count the frames up to the caller; and kernels, which call their functions a hundred thousand times while
-# they are written, so that checks would take two minutes.
+# The tests check annotations, including array shapes. Exceptions are functions that users call with any argument,
+# because their errors name the wrong argument; settings/values.py, whose warnings count the frames up to the caller;
+# and kernels, which call their functions a hundred thousand times while they are written.
 PACKAGE = Path(__file__).parents[1] / "vibrojax"
 UNCHECKED = re.compile(
     r"(compile/(?!agreement|xla)|maps/(run|read|joining|bounds|starts|rerun)|settings/(toml|values|code_identity)"
@@ -65,7 +64,7 @@ visit = identity._Walk.visit
 
 def visit_unchecked(walk, x):
     """Identify a function that no module names, such as that of a property, without its checks of types. Otherwise its
-    kernels have no digest, and each process traces them. This takes longer than the rest of a test."""
+    kernels have no digest, and each process traces them."""
     has_checks = isinstance(x, FunctionType) and x.__code__.co_filename == checked.__code__.co_filename
     visit(walk, x.__wrapped__ if has_checks and identity._known_name(x) is None else x)
 

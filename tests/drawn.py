@@ -77,13 +77,12 @@ def returns(grid, keep=24, starts=("drive", "stuck")):
 def run(duration=12.0, impacts=True, events=True):
     """Return a trajectory at 4.4 Hz in which the bit sticks for a part of each cycle."""
     time = np.arange(0.0, duration, 5e-4)
-    turn = 2 * np.pi * 4.4 * time
-    growth = 1 - 0.6 * np.exp(-time)
+    turn, growth = 2 * np.pi * 4.4 * time, 1 - 0.6 * np.exp(-time)
     x1, v1 = growth * 0.05 * np.sin(turn), growth * 0.05 * 27.65 * np.cos(turn)
     x2, v2 = growth * 0.03 * np.sin(turn - 0.4) - 0.035, growth * 0.03 * 27.65 * np.cos(turn - 0.4)
     force = np.where(x2 > -0.006, 50e6 * (x2 + 0.006) / 100, 0.0)
     ds = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
-    for name, values, units in (("x1", x1, "m"), ("v1", v1, "m s-1"), ("x2", x2, "m"), ("v2", v2, "m s-1")):
+    for (name, units), values in zip(UNITS.items(), (x1, v1, x2, v2), strict=True):
         ds[name] = ("time", values, {"units": units, "long_name": name})
     ds["friction_force"] = ("time", 981 * np.sign(v1 + 1.5), {"units": "N"})
     ds["stuck"] = ("time", (v1 < -1.3).astype(np.int8), {"flag_values": np.arange(2, dtype=np.int8)})
@@ -99,42 +98,39 @@ def run(duration=12.0, impacts=True, events=True):
     return ds.assign_attrs(scene=scene, start="drive", parameters=parameters)
 
 
-FORMS = ["literal", "percent", "onset", "line", "power"]
+def meshed(grid):
+    return dict(zip(grid, np.meshgrid(*grid.values(), indexing="ij"), strict=True)) if grid else {}
 
 
 def rock(grid, **fixed):
     """Return a penetration sweep with slips that grow from an onset and rates proportional to the frequency."""
-    inputs = {"force": 2e5, "frequency": 20.0, "threshold": 15e4, "k3": 3e8, "zeta": 1.1} | fixed
-    inputs |= dict(zip(grid, np.meshgrid(*grid.values(), indexing="ij"), strict=True)) if grid else {}
+    inputs = {"force": 2e5, "frequency": 20.0, "threshold": 15e4, "k3": 3e8, "zeta": 1.1} | fixed | meshed(grid)
     slip = np.maximum(inputs["force"] - 1.1 * inputs["threshold"], 0.0) / inputs["k3"] / inputs["zeta"]
     force = inputs["force"] * 4e-3 * inputs["frequency"]
     shown = {"rate_of_penetration": slip * inputs["frequency"], "relief": force / inputs["threshold"]}
     shown |= {"mean_force": force, "slip_per_impact": slip}
     shape = tuple(len(values) for values in grid.values())
     variables = {name: (tuple(grid), np.broadcast_to(values, shape).copy()) for name, values in shown.items()}
-    coords = {name: np.asarray(values) for name, values in grid.items()}
     parameters = json.dumps(fixed | {"pulse_width": 4e-3})
-    return dataset(variables, coords, title="a rock", scene="penetration", parameters=parameters)
+    return dataset(variables, grid, title="a rock", scene="penetration", parameters=parameters)
 
 
 def law(grid):
     """Return a fit with C proportional to the force. The form "line" is best, except "onset" at the largest force."""
     shape = tuple(len(values) for values in grid.values())
-    mesh = dict(zip(grid, np.meshgrid(*grid.values(), indexing="ij"), strict=True)) if grid else {}
-    force = np.broadcast_to(mesh.get("force", np.asarray(2e5)), shape)
+    force = np.broadcast_to(meshed(grid).get("force", np.asarray(2e5)), shape)
     C = np.stack([-1e-7 * force, 5e-8 * force, 1.5e-7 * force, 5e-7 * force, 6e-7 * force], axis=-1)
     aic = np.stack([0 * force - x for x in (80.0, 90.0, 110.0, 300.0, 297.0)], axis=-1)
     aic[force > 2.9e5, 2] = -400.0
     dims, attributes = (*grid, "form"), {"units": "m s-1", "long_name": "coefficient"}
     variables = {"C": (dims, C, attributes), "C_stderr": (dims, 0.05 * np.abs(C), attributes), "aic": (dims, aic)}
-    coords = {name: np.asarray(values) for name, values in grid.items()} | {"form": FORMS}
     formulas = "literal: C ln(η); percent: C ln(100 η); onset: C ln(η/η₀); line: C (η − η₀)"
+    coords = {**grid, "form": ["literal", "percent", "onset", "line", "power"]}
     return dataset(variables, coords, title="a law", along="frequency", formulas=formulas)
 
 
-SPECIAL = "fold period-doubling torus grazing stick section end"
-FOLD, DOUBLING, TORUS, GRAZING, STICK, SECTION, END = range(7)
-FLAGS = {"flag_values": np.arange(7, dtype=np.int8), "flag_meanings": SPECIAL}
+FOLD, DOUBLING, END = range(3)
+FLAGS = {"flag_values": np.arange(3, dtype=np.int8), "flag_meanings": "fold period-doubling end"}
 STABILITY = {"flag_values": np.arange(-1, 2, dtype=np.int8), "flag_meanings": "not-known unstable stable"}
 MACHINE = {"scene": "vibro-impact", "friction": "stribeck"}
 
@@ -151,23 +147,19 @@ def one_family(low=0.4, high=1.0, family=0):
     stable = np.concatenate([down <= 0.9, np.zeros(up.size), np.ones(doubled.size)])
     # At the fold, the multipliers are those on the side from which the continuation reached it.
     velocity = np.concatenate([2 + (down - 0.5), 2 - (up - 0.5), np.full(doubled.size, 2.4)])
-    least, greatest = velocity.copy(), velocity.copy()
-    half_gap = np.sqrt(np.maximum(doubled - 0.9, 0.0))
-    least[branch == 1] -= half_gap
-    greatest[branch == 1] += half_gap
-    largest = np.where(stable, 0.5, 3.0)
+    half_gap = np.where(branch == 1, np.sqrt(np.maximum(gamma - 0.9, 0.0)), 0.0)
+    least, greatest, largest = velocity - half_gap, velocity + half_gap, np.where(stable, 0.5, 3.0)
     special = [(END, high, 0), (DOUBLING, 0.9, 0), (FOLD, 0.5, 0), (END, 0.8, 0), (END, high, 1)]
     kind, value, special_branch = map(np.array, zip(*special, strict=True))
     points = {"gamma": gamma, "branch": branch, "cycles": branch + 1, "impacts": branch + 1.0}
     points |= {"impact_velocity": velocity, "impact_velocity_min": least, "impact_velocity_max": greatest}
     points |= {"orbit_x1": -0.07 * gamma, "point_family": np.full(gamma.size, family)}
-    families = np.full(kind.size, family)
-    at_special = {"special_value": value, "special_branch": special_branch, "special_family": families}
+    at_special = {"special_value": value, "special_branch": special_branch, "special_note": np.full(kind.size, "")}
+    at_special |= {"special_family": np.full(kind.size, family)}
     ds = xr.Dataset({name: ("point", x) for name, x in points.items()})
     ds = ds.assign({name: ("special", x) for name, x in at_special.items()})
     ds["stable"] = ("point", stable.astype(np.int8), STABILITY)
     ds["special_kind"] = ("special", kind.astype(np.int8), FLAGS)
-    ds["special_note"] = ("special", np.full(kind.size, ""))
     ds["multiplier_abs"] = (("point", "multiplier"), np.stack([largest, np.full(gamma.size, 0.25)], axis=1))
     ds["multiplier_arg"] = (("point", "multiplier"), np.tile([np.pi / 2, 0.0], (gamma.size, 1)))
     for name in ("impact_velocity", "impact_velocity_min", "impact_velocity_max", "orbit_x1"):
@@ -178,14 +170,9 @@ def one_family(low=0.4, high=1.0, family=0):
 
 
 def several_families(values=(0.3, 0.4, 0.5)):
-    parts = [one_family(family=number) for number in range(len(values))]
-    ds = xr.merge(
-        [
-            xr.concat([part[[n for n in part if dim in part[n].dims]] for part in parts], dim, combine_attrs="override")
-            for dim in ("point", "special")
-        ],
-        combine_attrs="override",
-    )
+    parts, by = [one_family(family=number) for number in range(len(values))], {"combine_attrs": "override"}
+    along = lambda dim: xr.concat([part[[n for n in part if dim in part[n].dims]] for part in parts], dim, **by)
+    ds = xr.merge([along("point"), along("special")], **by)
     number = ("family", np.arange(len(values)), {"units": "1", "long_name": "number"})
     beta = ("family", np.array(values), {"units": "1", "long_name": "mass ratio", "symbol": "β"})
     attributes = {**parts[0].attrs, "parameters": json.dumps({"delta": -0.005})}
@@ -230,10 +217,6 @@ def basin(states, grid=None, named=(), keep=0):
 def plane(x=12, v=10):
     x2, v2 = np.meshgrid(np.linspace(-0.05, 0.05, x), np.linspace(-3.0, 3.0, v), indexing="ij")
     return {"x2": x2.ravel(), "v2": v2.ravel(), "v1": np.full(x * v, -1.5)}
-
-
-def line(count=40):
-    return {"x2": np.linspace(-0.05, 0.05, count)}
 
 
 def sample(count=100):
@@ -288,17 +271,13 @@ def scales(sheet):
     return list({id(plot.scale): plot.scale for plot in resolved(sheet.plots) if plot.scale is not None}.values())
 
 
-def texts(figure):
-    """Return the visible texts except tick labels, with their boxes in pixels."""
+def check_texts(figure):
+    """Check that all visible texts, except tick labels, lie within the figure without overlap."""
     figure.draw_without_rendering()
     visible = [text for text in figure.findobj(matplotlib.text.Text) if text.get_visible() and text.get_text().strip()]
     ticks = {id(text) for axes in figure.axes for axis in (axes.xaxis, axes.yaxis) for text in axis.get_ticklabels()}
-    return [(text.get_text(), text.get_window_extent()) for text in visible if id(text) not in ticks]
-
-
-def check_texts(figure):
-    """Check that all texts lie within the figure without overlap."""
-    whole, placed = figure.bbox.padded(1), texts(figure)
+    placed = [(text.get_text(), text.get_window_extent()) for text in visible if id(text) not in ticks]
+    whole = figure.bbox.padded(1)
     for text, box in placed:
         assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1, text
     for (text_a, a), (text_b, b) in combinations(placed, 2):

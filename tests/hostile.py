@@ -32,27 +32,9 @@ def run(**changes: object) -> Change:
     return lambda ds: ds.assign_attrs(run=json.dumps(json.loads(ds.attrs["run"]) | changes))
 
 
-def longer_sweep(ds: xr.Dataset) -> xr.Dataset:
-    """Change the sweep text so that it settles for 30 years, and remove the identity."""
-    return _other_sweep(ds, "settle = 1e9")
-
-
-def shorter_steps(ds: xr.Dataset) -> xr.Dataset:
-    """Change the sweep text so that its steps are 1e-7 s long, and remove the identity."""
-    return _other_sweep(ds, "settle = 1.0\nstep = 1e-7")
-
-
-def _other_sweep(ds: xr.Dataset, settle: str) -> xr.Dataset:
-    attributes = {name: value for name, value in ds.attrs.items() if name != "identity"}
-    ds = ds.copy()
-    ds.attrs = attributes | {"sweep": ds.attrs["sweep"].replace("settle = 1.0", settle)}
-    assert settle in ds.attrs["sweep"]
-    return ds
-
-
-def along_gamma(change: Callable[[np.ndarray], np.ndarray]) -> Change:
-    """Return a change of the values of the gamma axis."""
-    return lambda ds: ds.assign_coords(gamma=("gamma", change(ds["gamma"].values.copy()), ds["gamma"].attrs))
+def regimes(value: object, dtype: object) -> Change:
+    """Return a change that gives all lanes one regime."""
+    return lambda ds: ds.assign(regime=ds["regime"].copy(data=np.full(ds["regime"].shape, value, dtype)))
 
 
 def each_variable(**attributes: object) -> Change:
@@ -77,15 +59,9 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "a parameter is true": (attribute("parameters", '{"v": true}'), "attribute parameters"),
     "certified is a list": (attribute("certified", "[1, 2]"), "attribute certified"),
     "the scene is a number": (attribute("scene", 3), "attribute scene"),
-    "an infinite coordinate": (along_gamma(lambda x: x + np.inf), "coordinate gamma"),
-    "regimes are texts": (
-        lambda ds: ds.assign(regime=(ds["regime"].dims, np.full(ds["regime"].shape, "text"))),
-        "variable regime",
-    ),
-    "a regime that has no meaning": (
-        lambda ds: ds.assign(regime=(ds["regime"].dims, np.full(ds["regime"].shape, 99, np.int8), ds["regime"].attrs)),
-        "99 is none of its flags",
-    ),
+    "an infinite coordinate": (lambda ds: ds.assign_coords(gamma=ds["gamma"] + np.inf), "coordinate gamma"),
+    "regimes are texts": (regimes("text", "U4"), "variable regime"),
+    "a regime that has no meaning": (regimes(99, np.int8), "99 is none of its flags"),
     "a name with a direction mark": (lambda ds: ds.rename(period="per\u202eiod"), "variable"),
 }
 """Malformed datasets, each with a part of the error message."""

@@ -103,30 +103,26 @@ def belt_period(v: float, rise: float, w: float = 1.0) -> float:
     return 2 * (np.pi - np.arctan(rise * w / v)) / w + 2 * rise / v
 
 
-RELAY = vj.System(
-    "relay",
-    states={"x": "1", "y": "1"},
+RELAY = system(
+    "xy",
+    lambda t, y, p, s: {"x": y["y"], "y": -p["gain"] * s["surface"]},
+    vj.Switch("surface", lambda t, y, p: y["x"] + y["y"]),
+    name="relay",
     parameters={"gain": 1.0},
-    field=lambda t, y, p, s: {"x": y["y"], "y": -p["gain"] * s["surface"]},
     section="x",
-    events=[vj.Switch("surface", lambda t, y, p: y["x"] + y["y"])],
 )
 """A relay with the sliding surface x + y = 0, on which x decays as exp(-t)."""
 
-VAN_DER_POL = vj.System(
-    "relaxation",
-    states={"x": "1", "v": "s-1"},
+VAN_DER_POL = system(
+    {"x": "1", "v": "s-1"},
+    lambda t, y, p: {"x": y["v"], "v": p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]},
+    name="relaxation",
     parameters={"mu": 1.0},
-    field=lambda t, y, p: {"x": y["v"], "v": p["mu"] * (1 - y["x"] ** 2) * y["v"] - y["x"]},
     section="x",
 )
 
-EXPONENTIAL = vj.FrictionLaw(
-    name="exponential",
-    reference="",
-    parameters=table(positive("mu_d", 0.5, "1", "friction of fast sliding", "mu_d")),
-    mu=lambda u, p: p["mu_d"] * (1 + vj.elementary.exp(-u / 0.5)),
-)
+FAST = table(positive("mu_d", 0.5, "1", "friction of fast sliding", "mu_d"))
+EXPONENTIAL = vj.FrictionLaw("exponential", "", FAST, lambda u, p: p["mu_d"] * (1 + vj.elementary.exp(-u / 0.5)))
 BELT_OSCILLATOR = mass(
     lambda t, y, p: -y["x"] - 0.1 * y["v"],
     vj.Friction("sliding", lambda t, y, p: y["v"] - p["belt"], lambda t, y, p: 1.0, law=EXPONENTIAL, acts_on="v"),
@@ -165,9 +161,7 @@ def oscillator_grazes(w: float, stiffness: float, damping: float, stop: float) -
     return float(stop * np.hypot(stiffness - w**2, damping * w))
 
 
-def oscillator_orbits(
-    a: float, R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
-) -> list[Rigid]:
+def oscillator_orbits(a, R, w, stiffness, damping, stop, n=1) -> list[Rigid]:
     """Return the orbits of one impact in `n` periods, by impact speed, including those that cross the stop.
 
     With E the flow of the homogeneous equation over the time between impacts, the state relative to the forced motion,
@@ -191,9 +185,7 @@ def oscillator_orbits(
     return orbits
 
 
-def oscillator_doubles(
-    between: tuple[float, float], R: float, w: float, stiffness: float, damping: float, stop: float, n: int = 1
-) -> float:
+def oscillator_doubles(between, R, w, stiffness, damping, stop, n=1) -> float:
     """Return the amplitude `a`, within `between`, at which the fastest orbit doubles: 1 + trace + determinant = 0."""
     product = lambda a: float(np.prod(1 + oscillator_orbits(a, R, w, stiffness, damping, stop, n)[-1].multipliers).real)
     return float(brentq(product, *between, xtol=1e-15))
@@ -204,9 +196,8 @@ def _flow(t: float, stiffness: float, damping: float) -> np.ndarray:
     half = damping / 2
     wd = np.sqrt(stiffness - half**2)
     cos, sin_over = np.cos(wd * t), np.sin(wd * t) / wd
-    return np.exp(-half * t) * np.array(
-        [[cos + half * sin_over, sin_over], [-stiffness * sin_over, cos - half * sin_over]]
-    )
+    turn = [[cos + half * sin_over, sin_over], [-stiffness * sin_over, cos - half * sin_over]]
+    return np.exp(-half * t) * np.array(turn)
 
 
 def ball_appears(R: float) -> float:

@@ -36,9 +36,8 @@ def points_of_kind(ds, kind):
 
 def family(kind, a, w, section, span=(0.05, 0.65)):
     """Return the dataset of a branch with one special point, as `follow` writes it."""
-    x, v = section
-    points = {"a": a, "orbit_x": x, "orbit_v": v, "branch": 0, "cycles": 1, "stable": 0, "period": 2 * np.pi / w}
-    points |= {"grazing_margin": 0.0}
+    points = {"a": a, "branch": 0, "cycles": 1, "stable": 0, "period": 2 * np.pi / w, "grazing_margin": 0.0}
+    points |= zip(("orbit_x", "orbit_v"), section, strict=True)
     variables = {name: ("point", [value]) for name, value in points.items()}
     kinds = {"flag_meanings": " ".join(SPECIAL_KINDS), "flag_values": range(len(SPECIAL_KINDS))}
     variables["special_kind"] = ("special", [SPECIAL_KINDS.index(kind)], kinds)

@@ -27,7 +27,7 @@ from vibrojax.explorer.views import summary_parts
 from vibrojax.pictures.branches import MARKS
 from vibrojax.pictures.colours import REGIME_COLOURS, value_of
 from vibrojax.pictures.motion import states_over_time
-from vibrojax.pictures.plots import Area, Axis, Cells, Layer, Line, Plot, Points, Sheet, Text, dots, level
+from vibrojax.pictures.plots import Area, Axis, Cells, Line, Plot, Points, Sheet, Text, dots, level
 
 COLUMNS = (StateColumn("x1", "m", "position"), StateColumn("v1", "m s-1", "velocity"))
 PLANE = {
@@ -68,13 +68,8 @@ def test_cells_survive_encoding(seed: int, sizes: list[int]):
         known = random.uniform(size=(2, 2)) if size % 2 else None
         cells.append(Cell(lane, "motion", "a note", 5, 1.0, COLUMNS, time, states, flags, known, section, numbers))
     for cell, decoded in zip(cells, decode(encode(cells)), strict=True):
-        assert (decoded.lane, decoded.kind, decoded.note, decoded.returns) == (
-            cell.lane,
-            cell.kind,
-            cell.note,
-            cell.returns,
-        )
-        assert decoded.numbers == cell.numbers
+        for name in ("lane", "kind", "note", "returns", "numbers"):
+            assert getattr(decoded, name) == getattr(cell, name)
         np.testing.assert_array_equal(decoded.flags, cell.flags)
         np.testing.assert_allclose(decoded.time, cell.time, atol=0.51 / 16383)
         for name, values in cell.states.items():
@@ -132,10 +127,8 @@ def test_document_holds_numbers_and_colours(plane):
             np.testing.assert_allclose(decoded, data.values, rtol=1e-5)
         else:
             np.testing.assert_array_equal(decoded, data.values)
-    lanes = unpack(document["lanes"])
-    assert sorted(lanes.ravel().tolist()) == list(range(8))
+    assert sorted(unpack(document["lanes"]).ravel().tolist()) == list(range(8))
     json.dumps(document, allow_nan=False)
-    document = contents_of(plane).document
     variables = {entry["name"]: entry for entry in document["variables"]}
     assert variables["regime"]["colours"]["3"] == REGIME_COLOURS[3]
     value, entry = value_of(plane["impact_velocity"]), variables["impact_velocity"]
@@ -197,39 +190,24 @@ def test_undrawable_datasets_are_refused_in_one_line(plane, tmp_path, capsys: py
 
 def test_plots_keep_their_numbers_and_are_linked_to_axes():
     """Infinite coordinates become the ends of the axes; a plot over an axis of the dataset is linked to it."""
-    x = np.array([1.0, 10.0, 100.0])
+    x, colours = np.array([1.0, 10.0, 100.0]), ["#ff0000", "#00ff00", "#0000ff"]
     ds = xr.Dataset(coords={"force": ("force", [1e3, 1e4], {"units": "N"}), "start": ["a", "b"]})
-    layers: list[Layer] = [
-        Line(x, 2 * x, "#112233", dash="--", label="law"),
-        Points(x, x, ["#ff0000", "#00ff00", "#0000ff"], 4.0, values=[7.0, np.nan, 9.0]),
-        Area(x, x, 3 * x, "#abcdef", 0.5),
-        level(7.0, colour="#123456"),
-        Text(0.5, 0.5, "in the middle", relative=True),
-    ]
+    layers = [Line(x, 2 * x, "#112233", dash="--", label="law"), level(7.0, colour="#123456")]
+    layers += [Points(x, x, colours, 4.0, values=[7.0, np.nan, 9.0]), Area(x, x, 3 * x, "#abcdef", 0.5)]
+    layers += [Text(0.5, 0.5, "in the middle", relative=True)]
     across = Axis("force [kN]", "force", (1.0, 100.0), log=True)
     depth = Axis("depth [m]", limits=(0.0, 300.0), reversed=True)
     strip = Cells([0.0, 1.0, 2.0], [0.0, 1.0], np.array([[0.0, np.nan]]), colormaps["viridis"], Normalize(0.0, 1.0))
     value = value_of(xr.DataArray([-0.5, 3.0], name="share", attrs={"units": "%"}))
-    plots = [
-        Plot(layers, across, depth, at={"start": "b"}, scale=value),
-        Plot([strip], Axis(ticks=[(0.5, "left")]), place=(1, 0)),
-    ]
+    plots = [Plot(layers, across, depth, at={"start": "b"}, scale=value)]
+    plots += [Plot([strip], Axis(ticks=[(0.5, "left")]), place=(1, 0))]
     axes: list[dict[str, Any]] = [{"name": name, "columns": []} for name in ("force", "start")]
     document = figure_document(Sheet(plots, (6.0, 4.0), heights=(1.0, 0.3)), ds, axes)
     first, second = document["plots"]
-    line, points, area, upright, text = (
-        next(one for one in first["items"] if one.get(key) == look)
-        for key, look in (
-            ("colour", "#112233"),
-            ("kind", "points"),
-            ("kind", "area"),
-            ("colour", "#123456"),
-            ("kind", "text"),
-        )
-    )
+    points, area, text = (next(one for one in first["items"] if one["kind"] == k) for k in ("points", "area", "text"))
+    line, upright = (next(one for one in first["items"] if one.get("colour") == c) for c in ("#112233", "#123456"))
     assert line["x"] == x.tolist() and line["y"] == (2 * x).tolist() and line["dash"] and line["label"] == "law"
-    assert points["colours"] == ["#ff0000", "#00ff00", "#0000ff"] and points["sizes"] == [2.0]
-    assert points["values"] == [7.0, None, 9.0]
+    assert points["colours"] == colours and points["sizes"] == [2.0] and points["values"] == [7.0, None, 9.0]
     assert set(area["y"]) == {*x, *(3 * x)} and upright["x"] == [1.0, 100.0] and upright["y"] == [7.0, 7.0]
     assert text["x"] == [pytest.approx(10.0)] and text["y"] == [150.0]
     assert first["x"]["log"] and first["x"]["direction"] == "force" and first["at"] == {"start": 1}
@@ -243,18 +221,12 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes():
 
 def test_legend_has_signs_as_they_are_drawn_and_the_note_of_the_picture():
     """A sign in ink takes the colour of its marks; a line that a mark hides has no entry."""
-    blue, limits = "#56b4e9", (0.0, 1.0)
-    layers: list[Layer] = [
-        dots([0.5], [0.5], colour=blue, size=9.0),
-        Line([0.5, 0.51], [0.5, 0.5], "#aa0000", label="short"),
-    ]
-    layers += [Line([0.1, 0.9], [0.5, 0.5], "#aa0000", label="long"), dots([0.2], [0.2], face="none")]
+    blue, axis = "#56b4e9", Axis("x", limits=(0.0, 1.0))
+    layers = [dots([0.5], [0.5], colour=blue, size=9.0), dots([0.2], [0.2], face="none")]
+    layers += [Line([0.5, x], [0.5, 0.5], "#aa0000", label=label) for x, label in ((0.51, "short"), (0.9, "long"))]
     chosen = dots([], [], colour="#222222", size=9.0, label="chosen")
-    sheet = Sheet(
-        [Plot(layers, Axis("x", limits=limits), Axis("y", limits=limits))], keys=[[chosen]], note="a = 1. Bars: errors"
-    )
-    ds = xr.Dataset(coords={"a": 1.0})
-    figure = figure_document(sheet, ds, [])
+    sheet = Sheet([Plot(layers, axis, axis)], keys=[[chosen]], note="a = 1. Bars: errors")
+    figure = figure_document(sheet, xr.Dataset(coords={"a": 1.0}), [])
     assert {key["text"]: key["colour"] for key in figure["keys"]} == {"chosen": blue, "long": "#aa0000"}
     assert figure["note"] == "Bars: errors"
     assert [one["hollow"] for one in figure["plots"][0]["items"] if one["kind"] == "points"] == [False, "none"]
@@ -274,12 +246,8 @@ def test_plots_of_a_page_have_the_labels_that_panels_share():
     """Each plot stands alone on a page: it has the label at the left of its row, but not beside named ticks."""
     line, names = Line([0.0, 1.0], [2.0, 3.0]), Axis(ticks=[(0.0, "beta"), (1.0, "gamma")])
     time, rate = Axis("time [s]"), Axis("rate [m/h]")
-    plots = [
-        Plot([line], Axis(), rate, place=(0, 0)),
-        Plot([line], Axis(), Axis(), place=(0, 1)),
-        Plot([line], time, rate, place=(1, 0)),
-        Plot([line], names, names, place=(1, 1)),
-    ]
+    axes = {(0, 0): (Axis(), rate), (0, 1): (Axis(), Axis()), (1, 0): (time, rate), (1, 1): (names, names)}
+    plots = [Plot([line], *of_plot, place=place) for place, of_plot in axes.items()]
     shown = figure_document(Sheet(plots), xr.Dataset(), [])["plots"]
     labels = [(plot["x"]["label"], plot["y"]["label"]) for plot in shown]
     assert labels == [("time [s]", "rate [m/h]"), ("", "rate [m/h]"), ("time [s]", "rate [m/h]"), ("", "")]

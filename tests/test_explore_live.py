@@ -5,7 +5,8 @@ import json
 import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from itertools import count
 from urllib.parse import quote
 
 import numpy as np
@@ -46,12 +47,9 @@ class SlowAnswers:
 @contextmanager
 def running_server(answers):
     """Run a server, then check that its port is closed."""
-    live = Live(HTML, answers.answer, answers.warm)
-    try:
+    with closing(Live(HTML, answers.answer, answers.warm)) as live:
         assert answers.warmed.wait(5)
         yield live
-    finally:
-        live.close()
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.1", live.port), 1).close()
 
@@ -62,7 +60,7 @@ def live():
         yield live
 
 
-NUMBERS = iter(range(1, 10**6))
+NUMBERS = count(1)
 
 
 def request_body(**changes):
@@ -71,15 +69,11 @@ def request_body(**changes):
 
 def request(live, method="POST", path="motion", body=None, token=None, **headers):
     """Return status, headers and body of an answer."""
-    connection = http.client.HTTPConnection("127.0.0.1", live.port, timeout=100)
     all_headers = {"Content-Type": "application/json"} | {n.replace("_", "-"): text for n, text in headers.items()}
-    try:
-        url = f"/{live.token if token is None else token}/{path}"
-        connection.request(method, url, body, {name: text for name, text in all_headers.items() if text is not None})
+    with closing(http.client.HTTPConnection("127.0.0.1", live.port, timeout=100)) as connection:
+        connection.request(method, f"/{live.token if token is None else token}/{path}", body, all_headers)
         answer = connection.getresponse()
         return answer.status, answer.headers, answer.read()
-    finally:
-        connection.close()
 
 
 def refusal(live, *args, **kwargs):
@@ -92,17 +86,6 @@ def refusal(live, *args, **kwargs):
     line = json.loads(body)["error"] if body else ""
     assert "\n" not in line
     return status, line
-
-
-def send_raw(live, content):
-    """Return all bytes that the server sends back for `content`."""
-    with socket.create_connection(("127.0.0.1", live.port), 10) as connection:
-        connection.sendall(content)
-        connection.shutdown(socket.SHUT_WR)
-        received = b""
-        while part := connection.recv(65536):
-            received += part
-        return received
 
 
 def test_page_and_motion_are_answered_on_loopback_only(live):
@@ -155,7 +138,10 @@ def test_wrong_methods_and_malformed_requests_are_refused(live):
     assert refusal(live, "GET", "motion")[0] == 405
     assert refusal(live, "OPTIONS", body=None, Origin="http://evil.example")[0] in (403, 405)
     for content, status in RAW:
-        answer = send_raw(live, content.format(port=live.port, token=live.token).encode("latin-1"))
+        with socket.create_connection(("127.0.0.1", live.port), 10) as connection, connection.makefile("rb") as answers:
+            connection.sendall(content.format(port=live.port, token=live.token).encode("latin-1"))
+            connection.shutdown(socket.SHUT_WR)
+            answer = answers.read()
         assert b"200 OK" not in answer
         assert status is None or answer.startswith(f"HTTP/1.1 {status}".encode()), content
 
@@ -185,19 +171,18 @@ def test_wrong_values_give_one_line_and_faults_stay_hidden(live):
     assert request(live, body=request_body())[0] == 200
 
 
-def wait_until(condition):
-    end = time.monotonic() + 100
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def test_closing_releases_all_clients():
     """One motion is being computed, another request waits, and a third connection is silent. No thread is left."""
     answers, outcomes, before = SlowAnswers(30.0), [], set(threading.enumerate())
-    with running_server(answers) as live:
-        idle = socket.create_connection(("127.0.0.1", live.port), 10)
-        threads = [threading.Thread(target=lambda k=k: outcomes.append(attempt(live, str(k)))) for k in range(2)]
+
+    def attempt(client):
+        try:
+            outcomes.append(request(live, body=request_body(client=client))[0])
+        except (OSError, http.client.HTTPException):
+            outcomes.append("broken")
+
+    with running_server(answers) as live, socket.create_connection(("127.0.0.1", live.port), 10):
+        threads = [threading.Thread(target=attempt, args=(name,)) for name in "ab"]
         for thread in threads:
             thread.start()
         time.sleep(0.2)
@@ -206,16 +191,10 @@ def test_closing_releases_all_clients():
         assert time.monotonic() - began < 25  # a motion takes 30
         for thread in threads:
             thread.join()
-        idle.close()
     assert len(outcomes) == 2 and set(outcomes) <= {503, "broken"}
-    wait_until(lambda: not set(threading.enumerate()) - before)
-
-
-def attempt(live, client):
-    try:
-        return request(live, body=request_body(client=client))[0]
-    except (OSError, http.client.HTTPException):
-        return "broken"
+    for thread in set(threading.enumerate()) - before:
+        thread.join(100)
+        assert not thread.is_alive()
 
 
 SWEEP = {
@@ -232,19 +211,19 @@ def motions():
     return motions_of(vj.read_sweep(SWEEP))
 
 
-def no_newer_request(*_):
-    """Stand for a client that sends no newer request."""
+no_newer_request = lambda *_: None
 
 
-def decode_single(block):
-    [cell] = decode(block)
+def single(motions, **message):
+    """Return the cell of an answer."""
+    [cell] = decode(motions.answer(message, no_newer_request))
     return cell
 
 
 @pytest.mark.parametrize("start", [None, [0.0, 0.5, 0.01, -1.0]])
 def test_motion_has_numbers_of_simulate(motions, start):
     changed = {"beta": 0.37, "delta": 0.002}
-    cell = decode_single(motions.answer({"parameters": changed, "start": start}, no_newer_request))
+    cell = single(motions, parameters=changed, start=start)
     values = {"v": 1.2, "gamma": 0.65} | changed
     motion = vj.simulate("vibro-impact", **values, start=start or "drive", duration=14.0, progress=False)
     assert {"regime", "period", "impact_velocity", "stick_fraction"} <= set(cell.numbers)
@@ -255,7 +234,7 @@ def test_motion_has_numbers_of_simulate(motions, start):
 
 def test_cell_lies_on_trajectory(motions):
     """At the cell's times, the trajectory of `simulate` agrees to a level of the cell's columns."""
-    cell = decode_single(motions.answer({"parameters": {"beta": 0.4, "gamma": 0.75, "v": 1.5}}, no_newer_request))
+    cell = single(motions, parameters={"beta": 0.4, "gamma": 0.75, "v": 1.5})
     motion = vj.simulate("vibro-impact", duration=14.0, sampling=1e-4, progress=False)
     sections = motion["event_time"].values[motion["event_kind"].values == 5]
     assert cell.kind == "orbit" and cell.duration == pytest.approx(sections[-1] - sections[-1 - cell.returns], rel=1e-6)
@@ -277,9 +256,9 @@ def test_sliders_stand_at_machine_of_lane(fixed, grid):
     table = {"scene": scene, "parameters": fixed, "grid": grid, "starts": ["drive"], "run": {"settle": 20.0}}
     sweep = vj.read_sweep(table | {"unusual": True})
     data = vj.run_sweep(sweep, progress=False)
-    point = decode_single(motions_of(sweep).answer({"lane": 1}, no_newer_request)).point
-    beside = motions_of(sweep).answer({"parameters": point["parameters"], "start": point["start"]}, no_newer_request)
-    numbers, lane = decode_single(beside).numbers, data.isel(start=0, **dict.fromkeys(grid, 1))
+    point = single(motions_of(sweep), lane=1).point
+    numbers = single(motions_of(sweep), parameters=point["parameters"], start=point["start"]).numbers
+    lane = data.isel(start=0, **dict.fromkeys(grid, 1))
     compared = ["period", "impact_energy", *(["specific_energy"] if scene == "drilling" else [])]
     for name in compared:
         assert numbers[name] == pytest.approx(float(lane[name]), rel=1e-4), name
@@ -292,7 +271,7 @@ def test_sliders_stand_at_machine_of_lane(fixed, grid):
 @pytest.mark.parametrize("scene", ["penetration", "coupled-drilling"])
 def test_every_scene_answers(scene):
     motions = LiveMotions(scene, {}, None, 2.0 if scene == "penetration" else 12.0)
-    cell = decode_single(motions.answer({"parameters": {}}, no_newer_request))
+    cell = single(motions, parameters={})
     assert cell.kind != "none" and len(cell.time) > 50 and cell.numbers
     offered = motions.offered()
     assert {entry["name"] for entry in offered["parameters"]} == set(motions.point.parameters)

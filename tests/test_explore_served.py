@@ -30,23 +30,14 @@ def dataset():
     return small_map()
 
 
-@pytest.fixture(scope="module")
-def file(dataset, tmp_path_factory):
-    path = tmp_path_factory.mktemp("explore") / "small.nc"
-    vj.write_dataset(dataset, path)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
+def test_contradictory_options_are_refused(dataset, tmp_path, capsys):
+    vj.write_dataset(dataset, tmp_path / "small.nc")
+    for words, line in (
         (["--live", "-o", "page.html"], "-o: --live writes no page"),
         (["beta=0.4", "--live"], '"beta=0.4": values are for a scene, with --live; leave them out'),
         (["--no-browser"], "--no-browser: there is no browser to open without --live"),
-    ],
-)
-def test_contradictory_options_are_refused(file, capsys, words, line):
-    assert line in command_refusal(capsys, "explore", file, *words)
+    ):
+        assert line in command_refusal(capsys, "explore", tmp_path / "small.nc", *words)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes of files and signals")
@@ -255,10 +246,8 @@ def test_module_in_browser(widget, sent, browser):
     def answer_request(text):
         widget._handle_custom_msg(json.loads(text), [])
         content, buffers = sent.pop()
-        page.evaluate(
-            "([content, block]) => setTimeout(() => answer(content, block))",
-            [content, base64.b64encode(buffers[0]).decode() if buffers else None],
-        )
+        block = base64.b64encode(buffers[0]).decode() if buffers else None
+        page.evaluate("([content, block]) => setTimeout(() => answer(content, block))", [content, block])
 
     page.expose_function("getModule", lambda: widget._esm)
     page.expose_function("getState", lambda: json.dumps(widget.get_state(), default=str))

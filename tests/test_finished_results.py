@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from refusals import refusal
 from systems import mass
+from systems import system as build
 
 import vibrojax as vj
 from vibrojax.cli import main
@@ -112,9 +113,7 @@ OWN = {
 }
 
 DIGESTS = """
-import json
-import vibrojax as vj
-import own
+import json, own, vibrojax as vj
 sweep = {"scene": own.Drill(), "parameters": {"friction": own.law}, "grid": {"v": [1.0]}}
 digests = {name: x for name, x in vj.read_sweep(sweep).identity().items() if name.startswith("code.")}
 print(json.dumps(digests))
@@ -166,25 +165,16 @@ PARTS = ("field", "period", "rate", "gap", "reset", "restitution", "force", "law
 
 def system(changed=None, c=1.1):
     """Return a system in which one function differs in a constant. Each function has a variable of its own."""
-    field, period, rate, gap, reset, restitution, force, law, mass, surface = (
-        c if name == changed else 1.0 for name in PARTS
-    )
+    numbers = (c if name == changed else 1.0 for name in PARTS)
+    field, period, rate, gap, reset, restitution, force, law, mass, surface = numbers
     falling = vj.FrictionLaw("falling", "own", {}, lambda u, p: law * 0.3 + 0.1 * vj.elementary.exp(-u))
-    belt = vj.Friction(
-        "belt", lambda t, y, p: y["w"] - surface, lambda t, y, p: force, law=falling, acts_on="w", mass=lambda p: mass
-    )
-    bounce = lambda p: 0.8 * restitution
-    stop = vj.Impact("stop", lambda t, y, p: gap - y["x"], velocity="v", restitution=bounce)
+    slides, presses = lambda t, y, p: y["w"] - surface, lambda t, y, p: force
+    belt = vj.Friction("belt", slides, presses, law=falling, acts_on="w", mass=lambda p: mass)
+    stop = vj.Impact("stop", lambda t, y, p: gap - y["x"], velocity="v", restitution=lambda p: 0.8 * restitution)
     kick = vj.Impact("kick", lambda t, y, p: 9.0 - y["y"], reset=lambda t, y, p: {"w": -0.5 * reset * y["w"]})
-    return vj.System(
-        "all-parts",
-        states={"x": "m", "v": "m s-1", "y": "m", "w": "m s-1"},
-        parameters={"a": 1.0},
-        field=lambda t, y, p: {"x": y["v"], "v": -field * y["x"], "y": y["w"], "w": -y["y"] - 0.1 * y["w"]},
-        period=lambda p: period * 6.0,
-        rate=lambda p: 3.0 * rate,
-        events=[stop, kick, belt],
-    )
+    rates = lambda t, y, p: {"x": y["v"], "v": -field * y["x"], "y": y["w"], "w": -y["y"] - 0.1 * y["w"]}
+    options = {"period": lambda p: period * 6.0, "rate": lambda p: 3.0 * rate}
+    return build("xvyw", rates, stop, kick, belt, name="all-parts", **options)
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -192,26 +182,16 @@ def test_identity_has_every_constant(part):
     assert code_identity(system(part)) != code_identity(system()) == code_identity(system())
 
 
-def oscillator(stiffness):
-    rate = lambda t, y, p: vj.elementary.cos(p["w"] * t) - 0.1 * y["v"] - stiffness * y["x"]
-    return mass(rate, parameters={"w": 0.9}, period=lambda p: 2 * np.pi / p["w"])
-
-
-def test_dataset_of_an_earlier_definition_is_not_run_with_a_later_one():
-    first = vj.run_sweep({"scene": oscillator(1.0), "grid": {"w": [0.9]}}, progress=False)
-    vj.run_sweep({"scene": oscillator(2.0), "grid": {"w": [0.9]}}, progress=False)
-    assert "code.scene has changed since; give the sweep itself" in refusal(vj.orbits, first, progress=False)
-
-
-def test_changed_variable_is_refused():
-    """Compiled code keeps the value that the variable had."""
+def test_definition_that_has_changed_is_refused():
+    """A later definition does not run an earlier dataset. Compiled code keeps the value that a variable had."""
     stiffness = 1.0
-    decay = lambda t, y, p: {"x": -stiffness * y["x"]}
-    own = vj.System("variable", states={"x": "m"}, parameters={"a": 1.0}, field=decay, period=lambda p: 1.0)
-    vj.simulate(own, duration=1.0, progress=False)
+    rate = lambda t, y, p: vj.elementary.cos(0.9 * t) - 0.1 * y["v"] - stiffness * y["x"]
+    first, second = (mass(rate if k == 1 else lambda t, y, p: -y["x"], period=2 * np.pi / 0.9) for k in (1, 2))
+    ds, _ = (vj.run_sweep({"scene": own, "grid": {"q": [0.9]}}, progress=False) for own in (first, second))
+    assert "code.scene has changed since; give the sweep itself" in refusal(vj.orbits, ds, progress=False)
     stiffness = 2.0
-    with pytest.raises(vj.InputError, match="a value that its functions use has changed since its first run"):
-        vj.simulate(own, duration=1.0, progress=False)
+    changed = "a value that its functions use has changed since its first run"
+    assert changed in refusal(vj.run_sweep, {"scene": first, "grid": {"q": [0.9]}}, progress=False)
 
 
 MANIFEST = {"scene": "rotary", "chunk": 4, "grid.beta": [0.1, 0.2], "version": "1"}
@@ -289,25 +269,20 @@ def test_files_from_anywhere_are_refused(store, content):
 
 
 def test_changed_manifest_is_refused(store):
-    with pytest.raises(vj.InputError) as caught, reopen(store, chunk=8):
-        pass
-    line = str(caught.value)
-    assert "chunk was 4, is 8" in line and "--fresh" in line and "\n" not in line and "scene" not in line
+    line = refusal(lambda: reopen(store, chunk=8).__enter__())
+    assert "chunk was 4, is 8" in line and "--fresh" in line and "scene" not in line
     with reopen(store) as opened:  # nothing was lost, and the lock is free
         assert opened.finished() == {0, 2}
-    with reopen(store, resume=False, chunk=8) as opened:
-        assert opened.finished() == set()
-    with reopen(store, chunk=8) as opened:
-        assert opened.finished() == set()
+    for resume in (False, True):
+        with reopen(store, resume, chunk=8) as opened:
+            assert opened.finished() == set()
 
 
 def test_chunks_are_checked_individually_without_valid_manifest(store):
-    (store.folder / "manifest.json").write_bytes(b"{")
-    with reopen(store) as opened:
-        assert opened.finished() == {0, 2}
-    (store.folder / "manifest.json").write_bytes(b"{")
-    with reopen(store, chunk=8) as opened:
-        assert opened.finished() == set()
+    for chunk, finished in ((4, {0, 2}), (8, set())):
+        (store.folder / "manifest.json").write_bytes(b"{")
+        with reopen(store, chunk=chunk) as opened:
+            assert opened.finished() == finished
 
 
 def test_partial_files_of_killed_processes_are_removed_and_foreign_ones_kept(store):

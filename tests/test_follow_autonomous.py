@@ -37,17 +37,13 @@ def test_pair_of_mirrored_orbits_meets_the_symmetric_one():
     assert beyond.any() and family.stable.values[beyond].all()
 
 
-SUBCRITICAL = vj.System(
-    "subcritical",
-    states={"x": "1", "y": "1", "z": "1"},
-    parameters={"m": -0.1, "w": 1.5},
-    field=lambda t, y, p: {
-        "x": (p["m"] + y["x"] ** 2 + y["y"] ** 2 - (y["x"] ** 2 + y["y"] ** 2) ** 2) * y["x"] - p["w"] * y["y"],
-        "y": (p["m"] + y["x"] ** 2 + y["y"] ** 2 - (y["x"] ** 2 + y["y"] ** 2) ** 2) * y["y"] + p["w"] * y["x"],
-        "z": (p["m"] - 0.5) * y["z"] - y["z"] ** 3,
-    },
-    section="y",
-)
+def subcritical(t, y, p):
+    square = y["x"] ** 2 + y["y"] ** 2
+    growth, z = p["m"] + square - square**2, (p["m"] - 0.5) * y["z"] - y["z"] ** 3
+    return {"x": growth * y["x"] - p["w"] * y["y"], "y": growth * y["y"] + p["w"] * y["x"], "z": z}
+
+
+SUBCRITICAL = system("xyz", subcritical, name="subcritical", parameters={"m": -0.1, "w": 1.5}, section="y")
 """Circles with m = r⁴ - r² around a Hopf point at m = 0, with a fold at -1/4; a pitchfork of equilibria at m = 1/2."""
 
 
@@ -161,13 +157,11 @@ def test_wrong_beginnings_are_refused():
             vj.follow(SUBCRITICAL, **settings)
 
 
-POLYNOMIAL = vj.System(
-    "polynomial",
-    states={"x": "m"},
-    parameters={"m": 0.0, "c0": 0.0, "cm": 0.0, "c1": 0.0, "c1m": 0.0, "c2": 0.0, "c3": 0.0},
-    field=lambda t, y, p: {
-        "x": p["c0"] + p["cm"] * p["m"] + (p["c1"] + p["c1m"] * p["m"] + (p["c2"] + p["c3"] * y["x"]) * y["x"]) * y["x"]
-    },
+POLYNOMIAL = one_state(
+    lambda t, y, p: (
+        p["c0"] + p["cm"] * p["m"] + (p["c1"] + p["c1m"] * p["m"] + (p["c2"] + p["c3"] * y["x"]) * y["x"]) * y["x"]
+    ),
+    parameters=dict.fromkeys(("m", "c0", "cm", "c1", "c1m", "c2", "c3"), 0.0),
     section="x",
 )
 """x' = c0 + cm m + (c1 + c1m m) x + c2 x² + c3 x³, for folds and pitchforks that share one kernel."""
@@ -383,9 +377,8 @@ def test_planar_flows_have_no_invented_points():
     for number, a in enumerate((0.9, 1.1)):
         (first, place), last = sorted_points(family.isel(special=family.special_family.values == number))
         assert (first, last) == ("hopf", ("end", 3.5)) and place == pytest.approx(1 + a * a, abs=1e-9)
-    assert (family.multiplier_arg.values == 0).all() and (
-        family.stable.values[family.multiplier_abs[:, 0] < 0.99] == 1
-    ).all()
+    assert (family.multiplier_arg.values == 0).all()
+    assert (family.stable.values[family.multiplier_abs[:, 0] < 0.99] == 1).all()
 
 
 @pytest.mark.long

@@ -1,6 +1,5 @@
-"""Tests of the guide and the README: their commands run as written, their figures are those of the records, and links
-have targets. The build of the site executes Python. The rows of `KEPT` name a sentence, and the file that records its
-figures, with the text that holds them there."""
+"""Tests of the guide and the README: their commands run as written, their figures are those of the code and of the
+benchmarks, and links have targets. The build of the site executes Python."""
 
 import json
 import os
@@ -131,13 +130,8 @@ def folder(tmp_path_factory):
     point = {"along": "gamma", "at": 0.75, "span": (0.55, 0.8), "delta": 0.005, "start": "stuck"}
     vj.follow("vibro-impact", **point, progress=False).to_netcdf(folder / "family.nc")
     weight = np.linspace(40.0, 120.0, 200)
-    log = {
-        "depth (m)": 1000 + np.arange(200.0),
-        "WOB (kN)": weight,
-        "ROP (m/h)": 15 * np.log(weight / 30),
-        "RPM": 120.0,
-    }
-    pd.DataFrame(log | {"torque (kN m)": 0.05 * weight}).to_csv(folder / "log.csv", index=False)
+    log = {"depth (m)": 1000 + np.arange(200.0), "WOB (kN)": weight, "ROP (m/h)": 15 * np.log(weight / 30)}
+    pd.DataFrame(log | {"RPM": 120.0, "torque (kN m)": 0.05 * weight}).to_csv(folder / "log.csv", index=False)
     return folder
 
 
@@ -155,32 +149,6 @@ def text_of(name: str) -> str:
     """Return the text of a file of the repository, or of a page of the site, with line breaks replaced by spaces."""
     path = ROOT / name if "/" in name or "." in name else ROOT / "notebooks" / f"{name}.md"
     return " ".join(path.read_text().split())
-
-
-BENCHMARKS, HARD, SOURCE = "tests/benchmarks/README.md", "tests/hard/README.md", "tests/source/source.toml"
-KEPT = [
-    ("accuracy", "435 of the 4,820 periodic lanes are sensitive", HARD,
-     ["435 of 4,820", "second runs take 11 %", "the other 4,195 certified", "3,037 lanes", "(0.6 %)"]),
-    ("regimes", "irregular or undecided | 1,556 | 588", HARD, ["599 of 4096", "11 are", "1556", "197", "194"]),
-    ("regimes", "Of 2,670 irregular lanes of the default map, 52 %", BENCHMARKS,
-     ["of 2,670 irregular lanes 52.1 % chaotic, 38.8 % not settled, 7.0 % periodic"]),
-    ("attractors", "67 % of the points have one attractor, 30 % two, and 2 %", BENCHMARKS,
-     ["(67.4 %)", "(30.3 %)", "(1.5 %)", "`drive` at 18.9 %", "`stuck` at 4.9 %"]),
-    ("rig_log", "above 500 ft/h, 180 klbf or 500 rpm", "vibrojax/io/riglog.py",
-     ["500 * 0.3048 / 3600", "500 * RPM"]),
-    ("rig_log", "the evidence against it exceeds 5.4", "vibrojax/studies/rop_forms.py", ["BLOCK_LIMIT = 5.4"]),
-    ("large_sweeps", "kills a sweep two hundred times; no chunk has been lost", HARD,
-     ["Seen: 200 kills", "no chunk lost"]),
-    ("reproduction", "with at most a third of the 470 kN", SOURCE, ["strikes with at most a third of the 470 kN"]),
-    ("reproduction", "in up to six tenths of the recommended region", SOURCE,
-     ["in up to six tenths of the recommended region"]),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("page", "sentence", "file", "held"), KEPT, ids=lambda value: str(value)[:40])
-def test_figures_are_kept(page, sentence, file, held):
-    assert sentence in text_of(page)
-    assert [part for part in held if part not in text_of(file)] == []
 
 
 def test_readme_describes_bundled_sweeps():
@@ -215,7 +183,8 @@ def test_constants():
 
 def row(start: str) -> list[float]:
     """Return the numbers of a row of the tables of times, without their ranges: on Python 3.11, then on 3.13."""
-    line = next(line for line in (ROOT / BENCHMARKS).read_text().splitlines() if line.startswith(f"| {start}"))
+    lines = (ROOT / "tests" / "benchmarks" / "README.md").read_text().splitlines()
+    line = next(line for line in lines if line.startswith(f"| {start}"))
     return [float(cell.split("(")[0]) for cell in line.split("|")[2:4] if cell.strip()]
 
 

@@ -16,7 +16,7 @@ import netCDF4
 import pytest
 import xarray as xr
 from browser import new_page, wrong
-from hostile import CODE, HUGE, MARKUP, REFUSED, SHOWN, STEERING, attribute, each_variable, longer_sweep, shorter_steps
+from hostile import CODE, HUGE, MARKUP, REFUSED, SHOWN, STEERING, attribute, each_variable
 from mutants import write_mutant
 from refusals import command_refusal, refusal
 from small_map import small_map
@@ -39,6 +39,7 @@ SWEEP = {
 READ = (["info"], ["plot"], ["explore"], ["fit"])
 RUN = (["orbits"], ["attractors"], ["borders"])
 WRITES = {"plot": "png", "explore": "html", "fit": "nc", "orbits": "nc", "attractors": "nc", "borders": "nc"}
+LONG, SHORT_STEPS = "settle = 1e9", ("borders", "settle = 1.0\nstep = 1e-7", 2e7)
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +65,7 @@ def run_command(tmp_path, capsys):
 
 def control_characters(text):
     """Return the characters of a text that control a terminal or the direction of writing."""
-    return {
-        character
-        for character in text
-        if character != "\n" and unicodedata.category(character) in ("Cc", "Cf", "Cs", "Zl", "Zp")
-    }
+    return {x for x in text if x != "\n" and unicodedata.category(x) in ("Cc", "Cf", "Cs", "Zl", "Zp")}
 
 
 @pytest.mark.parametrize(("number", "name"), list(enumerate(REFUSED)), ids=REFUSED)
@@ -87,9 +84,8 @@ def test_malformed_dataset_is_refused_in_one_line(sweep, run_command, number, na
 @pytest.mark.parametrize("name", SHOWN)
 def test_unusual_dataset_is_shown_or_refused(sweep, run_command, name):
     """Texts are shortened and free of control characters, and no simulation exceeds its limit."""
-    without_sweep = sweep.copy()
-    del without_sweep.attrs["sweep"]
-    ds = SHOWN[name](without_sweep).assign_attrs(source=sweep.attrs["source"])
+    without_sweep = {key: value for key, value in sweep.attrs.items() if key != "sweep"}
+    ds = SHOWN[name](sweep.drop_attrs(deep=False).assign_attrs(without_sweep)).assign_attrs(source=sweep.source)
     for words in READ:
         status, out, err = run_command(words, ds)
         assert status in (0, 2), (words, err)
@@ -98,17 +94,17 @@ def test_unusual_dataset_is_shown_or_refused(sweep, run_command, name):
         assert "Traceback" not in err
 
 
-@pytest.mark.parametrize(
-    ("words", "change"), [(["explore"], longer_sweep), (["orbits"], longer_sweep), (["borders"], shorter_steps)]
-)
-def test_overlong_sweep_is_not_run_for_dataset(sweep, run_command, words, change, tmp_path):
-    """Steps count: two seconds in steps of 1e-7 s take as long as years in usual steps."""
-    status, _, err = run_command(words, change(sweep))
-    steps = {longer_sweep: 1e9, shorter_steps: 2e7}[change]
-    text = (tmp_path / "out.html").read_text() if words == ["explore"] else err
+@pytest.mark.parametrize(("word", "settle", "steps"), [("explore", LONG, 1e9), ("orbits", LONG, 1e9), SHORT_STEPS])
+def test_overlong_sweep_is_not_run_for_dataset(sweep, run_command, word, settle, steps, tmp_path):
+    """Steps count: two seconds in steps of 1e-7 s take as long as 30 years in usual steps. (No identity says that the
+    text has changed.)"""
+    ds = sweep.assign_attrs(sweep=sweep.attrs["sweep"].replace("settle = 1.0", settle))
+    del ds.attrs["identity"]
+    status, _, err = run_command([word], ds)
+    text = (tmp_path / "out.html").read_text() if word == "explore" else err
     [(lanes, most)] = re.findall(r"the sweep that the dataset names has (\d) lanes of up to (\S+) steps", text)
     assert int(lanes) == sweep.lanes and float(most) >= steps
-    assert status == (0 if words == ["explore"] else 2) and err.count("\n") == status / 2
+    assert status == (0 if word == "explore" else 2) and err.count("\n") == status / 2
 
 
 def test_dataset_cannot_name_sweep_of_other_lanes(sweep):
@@ -202,11 +198,10 @@ NAMES = ("__proto__", "toString", "v\nx", "v=1", CODE, "vе", "v\u202e", "$(x)",
 WORDS = ("$(touch hacked)", "'; touch hacked; '", '"), __import__("os"), ("', "stuck\nx", "ѕtuck", MARKUP)
 
 
-def open_page(browser: Any, text: str, folder: Path, width: int = 1280) -> tuple[Any, Any, Any]:
-    """Return the page of this text in the browser, its console messages and its requests."""
-    path = folder / "page.html"
+def open_page(browser: Any, text: str, path: Path) -> tuple[Any, Any, Any]:
+    """Return the page of this text on a phone, its console messages and its requests."""
     path.write_text(text, encoding="utf-8")
-    return new_page(browser, path.as_uri(), viewport={"width": width, "height": 900})
+    return new_page(browser, path.as_uri(), viewport={"width": 390, "height": 900})
 
 
 def check_calls(calls: dict[str, str]) -> dict[str, object]:
@@ -225,17 +220,6 @@ def check_calls(calls: dict[str, str]) -> dict[str, object]:
     return arguments
 
 
-def hostile_map() -> xr.Dataset:
-    """Return a map whose texts are markup, including those of the starts."""
-    ds = each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(small_map())
-    ds = attribute("title", f"{MARKUP} {STEERING} {HUGE}")(ds)
-    ds = ds.assign_coords(start=[f"$(x){MARKUP}", f'"), x, ("{MARKUP}'])
-    ds["regime"].attrs["flag_meanings"] = " ".join(
-        f"<img/src=x/onerror=window.hacked={k}>" for k in range(len(ds["regime"].attrs["flag_values"]))
-    )
-    return ds
-
-
 def test_run_holds_only_names_and_words_of_the_scene():
     for name in NAMES:
         about = [{"name": name, "symbol": "", "units": "1", "value": 1.0, "default": 0.0}]
@@ -252,15 +236,20 @@ def test_run_holds_only_names_and_words_of_the_scene():
 
 
 def test_hostile_dataset_runs_no_code(browser, tmp_path):
-    width = 390
-    text = page_text(contents_of(hostile_map()).document)
+    """The texts of a map are markup, including those of the starts."""
+    ds = each_variable(long_name=MARKUP, units=MARKUP, symbol=MARKUP)(small_map())
+    ds = attribute("title", f"{MARKUP} {STEERING} {HUGE}")(ds)
+    ds = ds.assign_coords(start=[f"$(x){MARKUP}", f'"), x, ("{MARKUP}'])
+    names = (f"<img/src=x/onerror=window.hacked={k}>" for k in range(len(ds["regime"].attrs["flag_values"])))
+    ds["regime"].attrs["flag_meanings"] = " ".join(names)
+    text = page_text(contents_of(ds).document)
     assert len(text) < 500_000
-    page, messages, requests = open_page(browser, text, tmp_path, width=width)
+    page, messages, requests = open_page(browser, text, tmp_path / "page.html")
     for variable in ("regime", "period", "stick_fraction"):
         page.get_by_label("Variable").select_option(variable)
         page.locator(".vx-over").press("ArrowRight")
     assert page.evaluate("[window.hacked, document.images.length, document.scripts.length]") == [None, 0, 3]
-    assert page.evaluate("document.scrollingElement.scrollWidth") <= width
+    assert page.evaluate("document.scrollingElement.scrollWidth") <= 390
     assert len(page.locator("h1").inner_text()) <= 200
     arguments = check_calls(page.evaluate("vibrojax.calls()"))
     assert "start" not in arguments and {"beta", "gamma"} <= set(arguments)
@@ -269,7 +258,7 @@ def test_hostile_dataset_runs_no_code(browser, tmp_path):
 
 def test_page_policy_blocks_injected_code(browser, tmp_path):
     """Injected code can neither run, nor load, nor send anything."""
-    page, messages, _ = open_page(browser, page_text(contents_of(small_map()).document), tmp_path)
+    page, messages, _ = open_page(browser, page_text(contents_of(small_map()).document), tmp_path / "page.html")
     policy = page.locator("meta[http-equiv]").get_attribute("content")
     assert "unsafe" not in policy and "default-src 'none'" in policy and "connect-src 'none'" in policy
     assert not messages

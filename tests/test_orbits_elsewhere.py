@@ -85,9 +85,8 @@ def test_discontinuous_field():
     left = lambda r: r * np.exp(np.pi) / (1 + r * np.expm1(np.pi))
     G = lambda r: (ga + be) / be * np.log(r) - ga / be * np.log(be - r)
 
-    def right(r, angle=np.pi):
-        return brentq(lambda out: G(out) - G(r) - angle, r, be * (1 - 1e-15), xtol=1e-15, rtol=1e-15)
-
+    end = {"b": be * (1 - 1e-15), "xtol": 1e-15, "rtol": 1e-15}
+    right = lambda r, angle=np.pi: brentq(lambda out: G(out) - G(r) - angle, r, **end)
     pace = lambda r: (be - r) * r / (ga + be - r)
     entering = brentq(lambda r: right(left(r)) - r, 1.5, 1.99, xtol=1e-15)
     leaving = left(entering)
@@ -122,7 +121,7 @@ def rotor(t, y, p):
     return {"c": back * y["c"] - 6.0 * y["s"], "s": back * y["s"] + 6.0 * y["c"], "y": p["growth"] * y["y"]}
 
 
-ROTOR = vj.System("rotor", states=dict.fromkeys("csy", "1"), parameters={"growth": 1.0}, field=rotor, section="s")
+ROTOR = system("csy", rotor, name="rotor", parameters={"growth": 1.0}, section="s")
 """A rotor (c, s) that returns to its circle, with y' = growth y. Only y = 0 never leaves its plane."""
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from drawn import LONG, basin, cells, lanes, line, plane, points, returns, rock, sample, scales, sheet_of, square
+from drawn import LONG, basin, cells, lanes, plane, points, returns, rock, sample, scales, sheet_of, square
 from matplotlib.collections import QuadMesh
 from refusals import command_refusal, refusal
 
@@ -59,34 +59,27 @@ def test_selection_by_value():
     ds = basin(plane())
     assert select(ds, {"start_v2": 3.0}).sizes["start"] == 12
     assert select(points(), {"start": "stuck"}).sizes["point"] == 20
-    vector = select(basin(line(3)), {"start": "[0,0,-0.05,0]"})
+    vector = select(basin({"x2": np.linspace(-0.05, 0.05, 3)}), {"start": "[0,0,-0.05,0]"})
     assert float(vector["start_x2"]) == -0.05
 
 
 def test_chosen_colours_apply_to_quantities_but_not_to_regimes():
     ds = lanes(square(7), ("drive",))
-
-    def colour_maps(figure):
-        maps = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
-        return {mesh.get_cmap().name for mesh in maps if not hasattr(mesh.axes, "_colorbar")}
-
-    assert colour_maps(picture(ds, colours="magma")) == {"regimes", "magma"}
-    assert colour_maps(picture(ds)) == {"regimes", "viridis", "cividis"}  # the choice does not affect the next picture
+    for chosen, names in ({"colours": "magma"}, {"magma"}), ({}, {"viridis", "cividis"}):  # the next picture is usual
+        meshes = (mesh for axes in picture(ds, **chosen).axes for mesh in axes.collections)
+        shown = [mesh for mesh in meshes if isinstance(mesh, QuadMesh) and not hasattr(mesh.axes, "_colorbar")]
+        assert {mesh.get_cmap().name for mesh in shown} == {"regimes", *names}
 
 
-# Invalid requests.
-WRONG = [
-    ({"variable": "stick_fractoin"}, 'variable: "stick_fractoin" is not in the dataset; did you mean "stick_f'),
-    ({"variable": ["return_impact_velocity", "period"]}, "is not one number a lane; choose from regime"),
-    ({"where": {"k0": 1.0}}, 'where: "k0" is none of the dataset\'s axes; choose from gamma, start'),
-    ({"where": {"gamma": 0.5}}, "no lane has gamma = 0.5; there are 15 from 0.3 to 1.2, beside it 0.492857 and"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "message"), WRONG)
-def test_error_names_invalid_value_and_available_ones(arguments, message):
+def test_error_names_invalid_value_and_available_ones():
     ds = with_shares(returns({"gamma": np.linspace(0.3, 1.2, 15)}, keep=4))
-    assert message in refusal(picture, ds, **arguments)
+    for arguments, message in (
+        ({"variable": "stick_fractoin"}, 'variable: "stick_fractoin" is not in the dataset; did you mean "stick_f'),
+        ({"variable": ["return_impact_velocity", "period"]}, "is not one number a lane; choose from regime"),
+        ({"where": {"k0": 1.0}}, 'where: "k0" is none of the dataset\'s axes; choose from gamma, start'),
+        ({"where": {"gamma": 0.5}}, "no lane has gamma = 0.5; there are 15 from 0.3 to 1.2, beside it 0.492857 and"),
+    ):
+        assert message in refusal(picture, ds, **arguments)
 
 
 @pytest.fixture
@@ -96,17 +89,14 @@ def written(tmp_path):
     return tmp_path / "map.nc"
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
+def test_command_refuses_invalid_option_in_one_line(written, capsys):
+    for words, message in (
         (["--where", "delta"], 'where: "delta" is no condition; write one, like'),
         (["--where", "delta (kg) > 1"], "where: delta (kg) > 1 does not suit delta [m]; write a number in its unit"),
         (["--where", "delta=0.005", "delta=-0.005"], '--where: delta: "-0.005" is a second value; give one'),
         (["--variable", "period", "period"], 'variable[1]: "period" is there already, at [0]; give each variable once'),
-    ],
-)
-def test_command_refuses_invalid_option_in_one_line(written, capsys, words, message):
-    assert message in command_refusal(capsys, "plot", written, *words) and not written.with_suffix(".png").exists()
+    ):
+        assert message in command_refusal(capsys, "plot", written, *words) and not written.with_suffix(".png").exists()
 
 
 def test_command_writes_picture(written):
@@ -158,10 +148,8 @@ def test_star_of_chart_is_robust_within_the_map():
     table = {"regime": np.full((5, 5), SINGLE_IMPACT), "impact_energy": energy, "blow_frequency": 0 * energy + 260.0}
     table = {name: (("beta", "gamma"), x) for name, x in (table | {"rate_of_penetration": penetrated}).items()}
     sheet = chart(xr.Dataset(table, {"beta": grid, "gamma": grid}))
-    first = sheet.plots[0].layers
-    (border,) = (
-        layer for layer in first if getattr(layer, "label", "") == "robust: also within\ngamma ± 0.1, beta ± 0.1"
-    )
+    first, label = sheet.plots[0].layers, "robust: also within\ngamma ± 0.1, beta ± 0.1"
+    [border] = (layer for layer in first if getattr(layer, "label", "") == label)
     assert np.nanmin([border.x, border.y], axis=1).tolist() == pytest.approx([0.35, 0.35])
     assert np.nanmax([border.x, border.y], axis=1).tolist() == pytest.approx([0.65, 0.65])
     assert np.array_equal(first[0].values, energy) and len(scales(sheet)) == 3  # each quantity has its colour bar

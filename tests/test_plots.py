@@ -1,6 +1,7 @@
 """Test pictures: one per rule, and what their plots show; the axes, colours and layout that they share."""
 
 import json
+import re
 
 import drawn
 import matplotlib
@@ -16,19 +17,18 @@ import vibrojax as vj
 from vibrojax.explorer.plots_view import items_of
 from vibrojax.io.kinds import STRUCTURES
 from vibrojax.io.variables import REGIMES
-from vibrojax.pictures.axes import broken_title, value_text
+from vibrojax.pictures.axes import value_text
 from vibrojax.pictures.branches import branches, stability, stable_intervals
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.colours import REGIME_COLOURS
 from vibrojax.pictures.contents import Contents, returns_in
 from vibrojax.pictures.draw import draw
 from vibrojax.pictures.hole import pulses
-from vibrojax.pictures.layout import Facets
 from vibrojax.pictures.maps import regime_dots
 from vibrojax.pictures.motion import states_over_time, trajectory
 from vibrojax.pictures.plots import Area, Bars, Line, Points, Text
 from vibrojax.pictures.returns import bifurcation
-from vibrojax.pictures.style import NO_VALUE, plain
+from vibrojax.pictures.style import NO_VALUE
 from vibrojax.studies.analysis import analysis_named, analysis_of
 from vibrojax.studies.attractors import attractor_colours
 
@@ -65,10 +65,8 @@ LINE |= {"codim2_kind": ("codim2", ["cusp"]), "codim2_gamma": ("codim2", [0.4]),
 CURVES = xr.Dataset(LINE | {"curve_note": ("curve", [""])}, attrs={"kind": "curves", "axes": ["gamma", "beta"]})
 CURVES = CURVES.assign_attrs(bounds=[0.3, 1.0, 0.1, 0.9])
 SHARES = {"share": (("gamma", "attractor"), [[0.7, 0.3], [1.0, 0.0]]), "unassigned": ("gamma", [0, 1])}
-SHARES |= {
-    "share_stderr": (("gamma", "attractor"), 0.05 * np.ones((2, 2))),
-    "regime": (("gamma", "attractor"), [[3, 6]] * 2),
-}
+SHARES |= {"share_stderr": (("gamma", "attractor"), 0.05 * np.ones((2, 2)))}
+SHARES |= {"regime": (("gamma", "attractor"), [[3, 6]] * 2)}
 SHARES |= {"impact_velocity": (("gamma", "attractor"), [[2.0, 1.0], [2.5, np.nan]], {"units": "m s-1"})}
 SHARES |= {"lane_attractor": (("gamma", "start"), [[0, 0, 1], [0, 0, -1]])}
 ATTRACTORS = xr.Dataset(SHARES, {"gamma": [0.6, 0.7]}, {"title": "Attractors", "parameters": json.dumps({"v": 1.5})})
@@ -78,12 +76,9 @@ PUSHES |= {f"regime_{name}": ("sign", [0, 6]) for name in ("x1", "v1")} | {"boun
 PUSHES = xr.Dataset(PUSHES, {"sign": [-1, 1]}, {"title": "Pushes"})
 SIDE = {"place": ("sample", [0, 1, 1]), "regime": ("sample", [3, 3, 6]), "impact_velocity": ("sample", [2.0, 2.1, 1.9])}
 BOX = xr.Dataset(SIDE, {"beta": ("sample", [0.4, 0.39, 0.41])}, {"kind": "tolerance", "tolerance_beta": 0.01})
-VALID = {
-    "valid": ("lane", [1, 1]),
-    "parameter_value": (("lane", "parameter"), [[0.4, 0.7]] * 2),
-    "reason": ("lane", [0, 0]),
-}
-VALID |= {"period": ("lane", [0.2, 0.2]), "d_period": (("lane", "parameter"), [[0.1, -0.2]] * 2)}
+VALID = {"valid": ("lane", [1, 1]), "reason": ("lane", [0, 0]), "period": ("lane", [0.2, 0.2])}
+OF_EACH = {"parameter_value": [0.4, 0.7], "d_period": [1.0, -2.0]}
+VALID |= {name: (("lane", "parameter"), [x] * 2) for name, x in OF_EACH.items()}
 SLOPES = xr.Dataset(VALID, {"parameter": ["beta", "gamma"]}, {"kind": "sensitivity"})
 INDICES = {name: (("of", "parameter"), [[0.4, 0.6]]) for name in ("first_order", "total_order", "effect")}
 INDICES |= {f"{name}_conf": (("of", "parameter"), [[0.1, 0.1]]) for name in ("first_order", "total_order")}
@@ -100,22 +95,17 @@ ESTIMATED |= {name: (("observation", "of"), [[0.2], [0.3]]) for name in ("observ
 MEANS = {"flag_values": [0, 1], "flag_meanings": "identified at-bound"}
 ESTIMATED |= {"reason": ("parameter", [0, 1], MEANS)}
 ESTIMATES = xr.Dataset(ESTIMATED, {"parameter": ["beta", "gamma"], "of": ["period"]}, {"kind": "calibration"})
-LOG = {
-    name: ("row", np.linspace(1.0, 2.0, 9))
-    for name in ("specific_energy", "rate_of_penetration", "weight_on_bit", "depth")
-}
-LOG = xr.Dataset(
-    LOG | {"founder_weight": 1.5, "slope_below": 1.0, "slope_above": 0.2, "founder_reason": 0}, attrs={"kind": "rig"}
-)
+LOG = dict.fromkeys(("specific_energy", "rate_of_penetration", "weight_on_bit", "depth"), ("row", np.linspace(1, 2, 9)))
+LOG |= {"founder_weight": 1.5, "slope_below": 1.0, "slope_above": 0.2, "founder_reason": 0}
+LOG = xr.Dataset(LOG, attrs={"kind": "rig"})
 CANDIDATES = {"objective": ("candidate", [2.0, 1.0]), "map_feasible": ("map", [1, 0, 1])}
 CANDIDATES |= {name: ("candidate", [0.4, 0.5]) for name in ("beta", "gamma")}
 CANDIDATES |= {f"map_{name}": ("map", [0.3, 0.4, 0.5]) for name in ("beta", "gamma")}
 CANDIDATES |= {"map_objective": ("map", [1.0, np.nan, 2.0], {"units": "J", "long_name": "energy on the map"})}
 CANDIDATES |= {"objective_worst": CANDIDATES["objective"]}
 BEST = xr.Dataset(CANDIDATES, {"parameter": ["beta", "gamma"]}, {"kind": "design", "tolerance_beta": 0.01})
-OSCILLATION = xr.Dataset(
-    {"x": ("time", np.sin(np.arange(32.0))), "v": ("time", np.cos(np.arange(32.0)))}, {"time": np.arange(32.0)}
-)
+TIME = np.arange(32.0)
+OSCILLATION = xr.Dataset({"x": ("time", np.sin(TIME)), "v": ("time", np.cos(TIME))}, {"time": TIME})
 
 EXPECTED = {
     "response": lambda: bit_on_rock(**SINE),
@@ -145,16 +135,15 @@ EXPECTED = {
     "calibration_picture": lambda: ESTIMATES,
     "rig_picture": lambda: LOG,
 }
+FORCES = {"force": np.linspace(2e5, 3e5, 9), "k3": np.linspace(1e8, 5e8, 9), "zeta": [0.5, 1]}
 OTHERS = {
     "map-of-many": lambda: lanes(square(3, v=[0.5, 1.0], delta=[-0.005, 0.0, 0.005])),
     "points": drawn.points,
     "phase-planes": lambda: drawn.basin(drawn.sample()),
     "rock-of-one": lambda: drawn.rock({}),
     "law-of-one": lambda: drawn.law({}),
-    "law-of-many": lambda: drawn.law(
-        {"force": np.linspace(2e5, 3e5, 9), "k3": np.linspace(1e8, 5e8, 9), "zeta": [0.5, 1]}
-    ),
-    "families": drawn.several_families,
+    "law-of-many": lambda: drawn.law(FORCES),
+    "several-families": drawn.several_families,
 }
 
 
@@ -167,9 +156,12 @@ def test_every_rule_has_dataset():
     assert {rule.draw.__name__ for analysis in analyses for rule in analysis.pictures} == set(EXPECTED)
 
 
-@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize("name", EXPECTED | OTHERS)
 def test_first_rule_that_fits_draws_texts_without_overlap(name):
     """No text leaves the picture or lies over another, under a long title and in the column of a journal."""
+    if name in OTHERS:
+        check_texts(vj.picture(OTHERS[name]()))
+        return
     ds = EXPECTED[name]()
     assert first_rule(ds) == name
     whole = vj.picture(ds.assign_attrs(title=f"{ds.attrs.get('title', 'A drill')} " * 12))
@@ -178,11 +170,6 @@ def test_first_rule_that_fits_draws_texts_without_overlap(name):
     assert column.get_figwidth() == pytest.approx(85 / 25.4)
     assert max(whole.get_figheight(), column.get_figheight()) <= 235 / 25.4
     check_texts(column)
-
-
-@pytest.mark.parametrize("name", OTHERS)
-def test_other_contents_are_drawn_without_overlap(name):
-    check_texts(vj.picture(OTHERS[name]()))
 
 
 def test_rules_depend_on_contents():
@@ -227,11 +214,6 @@ def test_rates_in_a_column_have_panels_of_one_width_and_whole_lines():
     panels = vj.picture(ds, width="85mm").axes
     assert len({round(axes.get_position().width, 2) for axes in panels}) == 1
     assert panels[0].get_xlabel().startswith("pulses") and panels[1].get_xlabel() == "relief P/D"
-
-
-def test_facets_fill_their_rows():
-    places = Facets(("",) * 10, (xr.Dataset(),) * 10, (5, 2)).places(6)  # five gaps, each from two starts
-    assert places == [(start, gap) for gap in range(5) for start in range(2)]
 
 
 def test_maps_show_lanes_named_in_their_titles():
@@ -401,12 +383,10 @@ def test_studies_show_their_numbers():
     assert [layer.text for layer in sides.layers if isinstance(layer, Text)] == ["0.001"]
     plane_plot = sheet_of(BEST).plots[0]
     square_marks = next(layer for layer in plane_plot.layers if isinstance(layer, Points))
-    assert square_marks.x.tolist() == [0.3, 0.5] and {"best candidate", "other candidates", "map: not feasible"} <= set(
-        labels(sheet_of(BEST))
-    )
-    assert sheet_of(SLOPES).plots[0].scale.label == "elasticity"
-    texts_shown = [layer.text for layer in sheet_of(SLOPES).plots[0].layers[1:]]
-    assert texts_shown == ["0.2", "−0.7"]
+    assert square_marks.x.tolist() == [0.3, 0.5]
+    assert {"best candidate", "other candidates", "map: not feasible"} <= set(labels(sheet_of(BEST)))
+    [slopes] = sheet_of(SLOPES).plots
+    assert slopes.scale.label == "elasticity" and [layer.text for layer in slopes.layers[1:]] == ["2.0", "−7.0"]
     drive, any_start = sheet_of(BORDERS).plots
     assert drive.title == "start drive: 40 %"
     assert labels(sheet_of(BORDERS)) == ["basin (the start leads elsewhere)"]
@@ -416,6 +396,9 @@ def test_studies_show_their_numbers():
     tops = [(layer.y + layer.height).tolist() for layer in along.layers if isinstance(layer, Bars)]
     assert tops == [pytest.approx([70.0, 100.0]), pytest.approx([100.0, 100.0])]
     assert "chart: the dataset holds no impacts over a grid" in refusal(chart, ATTRACTORS)
+    times = STUDY.time_per_lane_second / 9  # the range of measured times is in the panel
+    (plot,) = sheet_of(STUDY.assign(time_per_lane_second_min=times)).plots
+    assert plot.x.limits[0] < 1e6 * float(times.min())
 
 
 def test_rows_beyond_the_panel_of_a_fit_are_counted():
@@ -442,12 +425,6 @@ def test_a_fit_prints_its_coefficient_in_one_unit():
     assert "C [m/s]" in [plot.y.label for plot in sheet.plots]
 
 
-def test_range_of_measured_times_is_in_the_panel():
-    time = "time_per_lane_second"
-    (plot,) = sheet_of(STUDY.assign({f"{time}_min": STUDY[time] / 9})).plots
-    assert plot.x.limits[0] < 1e6 * float(STUDY[time].min()) / 9
-
-
 def test_user_settings_are_ignored_and_texts_are_not_formulas():
     ds = lanes({"gamma": np.linspace(0.3, 1.2, 20)}).assign_attrs(title="a $x_1$ of $5")
     with matplotlib.rc_context({"axes.titlesize": 40, "xtick.labelsize": 30, "axes.facecolor": "red"}):
@@ -460,10 +437,11 @@ def test_user_settings_are_ignored_and_texts_are_not_formulas():
 
 
 def test_picture_is_saved_the_same_in_format_of_suffix(tmp_path):
+    """Names of clip paths in SVG differ with roundings of the layout, which differ from one figure to the next."""
     names = ("map.PNG", "map.svg", "map.pdf", "again.svg", "again.pdf")
     for name in names:
         vj.save_picture(OSCILLATION, tmp_path / name)
-    contents = {name: (tmp_path / name).read_bytes() for name in names}
+    contents = {name: re.sub(rb"\bp[0-9a-f]{10}\b", b"", (tmp_path / name).read_bytes()) for name in names}
     assert [contents[name][:4] for name in names[:3]] == [b"\x89PNG", b"<?xm", b"%PDF"]
     assert contents["map.svg"] == contents["again.svg"] and contents["map.pdf"] == contents["again.pdf"]
     assert {path.name for path in tmp_path.iterdir()} == {*names}

@@ -36,33 +36,25 @@ def clock(monkeypatch):
     return fake
 
 
-LINES = {
-    # Compilation takes the first 60 s. It does not count for the pace, only for the total time.
-    "plain lines come now and then": (
-        {"total": 1000, "unit": "lanes"},
-        [60, ("add", 100), *[1, ("add", 50)] * 18],
-        ["100/1000 lanes", "600/1000 lanes, 50 lanes/s, 8 s left", "1000/1000 lanes, 13 lanes/s, 78.0 s"],
-    ),
-    "an earlier run is no part of the pace": (
-        {"total": 1000, "unit": "lanes"},
-        [("resume", 600), 20, ("add", 200), 10, ("add", 200)],
-        ["600 of 1000 lanes are there from an earlier run", "800/1000 lanes", "1000/1000 lanes, 13 lanes/s, 30.0 s"],
-    ),
+PLAIN = {
+    "100/1000 lanes|600/1000 lanes, 50 lanes/s, 8 s left|1000/1000 lanes, 13 lanes/s, 78.0 s": [60, 100, *[1, 50] * 18],
+    "600 of 1000 lanes are there from an earlier run|800/1000 lanes|1000/1000 lanes, 10 lanes/s, 40.0 s": [20, 200] * 2,
 }
 
 
-@pytest.mark.parametrize("name", LINES)
-def test_plain_lines(name, clock):
-    """A number is a time [s] that passes. A tuple is a method and its arguments."""
-    settings, steps, expected = LINES[name]
+@pytest.mark.parametrize("lines", PLAIN)
+def test_plain_lines(lines, clock):
+    """Compilation takes the first 60 s, which count for the total time only; neither it nor an earlier run is part of
+    the pace. Steps are the time that passes [s] and the lanes that it takes, in turn."""
+    steps = PLAIN[lines]
     with redirect_stderr(io.StringIO()) as stream:
-        progress = Progress(**settings)
-        for step in steps:
-            if isinstance(step, int):
-                clock.now += step
-            else:
-                getattr(progress, step[0])(*step[1:])
-    assert stream.getvalue().splitlines() == expected
+        progress = Progress(1000, "lanes")
+        if sum(steps[1::2]) < 1000:
+            progress.resume(1000 - sum(steps[1::2]))
+        for seconds, count in zip(steps[::2], steps[1::2], strict=True):
+            clock.now += seconds
+            progress.add(count)
+    assert stream.getvalue().splitlines() == lines.split("|")
 
 
 def test_bar_is_overwritten_on_terminal_unless_disabled(clock):

@@ -62,21 +62,13 @@ def test_wrong_input_is_refused(changes, line):
     assert line in refusal(vj.read_sweep, {key: value for key, value in tables.items() if key not in dropped})
 
 
-@pytest.mark.parametrize(
-    ("content", "line"),
-    [
+def test_missing_files_and_other_formats_are_refused(tmp_path):
+    for content, line in (
         (b'scene = "rotary\n', "map.toml: not TOML: Illegal character '\\n' (at line 1, column 16)"),
         (b"\xff\xfe", "map.toml: UTF-16 text; save it as UTF-8"),
-    ],
-)
-def test_files_that_are_not_toml_are_refused(tmp_path, content, line):
-    path = tmp_path / "map.toml"
-    path.write_bytes(content)
-    assert line in refusal(vj.read_sweep, path)
-
-
-def test_missing_files_are_refused(tmp_path):
-    (tmp_path / "map.toml").write_text("")
+    ):
+        (tmp_path / "map.toml").write_bytes(content)
+        assert line in refusal(vj.read_sweep, tmp_path / "map.toml")
     line = 'mpa.toml: no such file; give the path of one that is there (did you mean "map.toml"?)'
     assert line in refusal(vj.read_sweep, tmp_path / "mpa.toml")
     assert "is a folder; give the path of a file" in refusal(vj.read_sweep, tmp_path)
@@ -84,33 +76,23 @@ def test_missing_files_are_refused(tmp_path):
     assert refusal(vj.read_sweep, 3) == "sweep: 3 is not a sweep; give a path, a bundled name or a dict"
 
 
-@pytest.mark.parametrize(("run", "least"), [({}, 1e-12), ({"method": "smoothed"}, 3.2e-5)])
-def test_smallest_accepted_error(run, least):
-    sweep = {"scene": "rotary", "grid": {"gamma": [0.5]}, "run": run | {"error": least}}
-    assert vj.read_sweep(sweep).run.error == least
-    with pytest.raises(vj.InputError, match=r"run\.error: .* cannot be reached"):
-        vj.read_sweep(sweep | {"run": run | {"error": 0.9 * least}})
-
-
 def test_smallest_accepted_error_is_reached():
-    sweep = {"scene": "rotary", "grid": {"gamma": [0.5, 0.6, 0.7]}, "run": {"error": 1e-12, "settle": 200.0}}
-    ds = vj.run_sweep(sweep, progress=False)
+    sweep = {"scene": "rotary", "grid": {"gamma": [0.5, 0.6, 0.7]}}
+    for run, least in (({"settle": 200.0}, 1e-12), ({"method": "smoothed"}, 3.2e-5)):
+        assert vj.read_sweep(sweep | {"run": run | {"error": least}}).run.error == least
+        with pytest.raises(vj.InputError, match=r"run\.error: .* cannot be reached"):
+            vj.read_sweep(sweep | {"run": run | {"error": 0.9 * least}})
+    ds = vj.run_sweep(sweep | {"run": {"error": 1e-12, "settle": 200.0}}, progress=False)
     assert (ds.cycles > 0).all() and (ds.error_estimate <= 1e-12).all()
-
-
-@pytest.mark.parametrize(
-    ("setting", "method"), [({"error": 1e-13}, "located"), ({"error": 1e-5, "solver": "Tsit5"}, "diffrax")]
-)
-def test_simulate_refuses_unreachable_error(setting, method):
-    with pytest.raises(vj.InputError, match=f'simulate: error: .* cannot be reached; method "{method}" reaches'):
-        vj.simulate("rotary", duration=0.1, progress=False, **setting)
+    for setting, method in (({"error": 1e-13}, "located"), ({"error": 1e-5, "solver": "Tsit5"}, "diffrax")):
+        with pytest.raises(vj.InputError, match=f'simulate: error: .* cannot be reached; method "{method}" reaches'):
+            vj.simulate("rotary", duration=0.1, progress=False, **setting)
 
 
 BASE = {"scene": "vibro-impact", "parameters": {"k1": 2e5}, "grid": {"beta": [0.3, 0.4], "gamma": [0.6, 0.7]}}
 
 
-def changed(*words):
-    return vj.read_sweep(BASE, words)
+changed = lambda *words: vj.read_sweep(BASE, words)
 
 
 def test_parameters_become_fixed_values_or_axes():
@@ -141,25 +123,12 @@ def test_command(here, capsys):
 
 
 SPEEDS = "v (drive speed [m/s]), v_cr (Stribeck speed [m/s]) or rpm (rotation speed of the drive [1/min])"
-FREQUENCIES = (
-    "bit_frequency (natural frequency of the bit alone [Hz]), striker_frequency (natural frequency of the striker "
-    "alone [Hz]) or gamma (frequency ratio w2/w1)"
-)
-PULSES = "frequency (pulses per second [1/s])"
 
 
-def test_names_are_suggested_by_meaning():
-    for scene, word, meant in (
-        ("vibro-impact", "gap", "delta (gap [m])"),
-        ("vibro-impact", "speed", SPEEDS),
-        ("vibro-impact", "freq", FREQUENCIES),
-        ("penetration", "hz", PULSES),
-    ):
-        line = refusal(vj.read_sweep, {"scene": scene, "grid": {word: [1.0, 2.0]}})
+def test_names_are_suggested_by_meaning_and_values_that_determine_no_parameter_refused():
+    for word, meant in (("gap", "delta (gap [m])"), ("speed", SPEEDS)):
+        line = refusal(vj.read_sweep, {"scene": "vibro-impact", "grid": {word: [1.0, 2.0]}})
         assert line.endswith(f"; did you mean {meant}?")
-
-
-def test_values_that_determine_no_parameter_are_refused():
     for scene, values, line in (
         ("rotary", {"gap": 1}, 'gap: scene "rotary" has no delta (gap [m]); scenes with one: coupled-drilling, '),
         ("vibro-impact", {"blows": 200}, "blows: is a result of the motion and determines no parameter; give v"),
@@ -189,29 +158,25 @@ VALID = """
     granite located smoothed float32 float64 log linear sweep half-sine p.csv
 """
 NAMES, WORDS = st.sampled_from(KEYS.split()), st.sampled_from(VALID.split())
-NUMBERS = (
-    st.floats()
-    | st.integers(-3, 10**6)
-    | st.sampled_from([0, -0.0, 1, 0.4, 1e-3, 5e-324, 1e308, 10**12, 2**63, 10**400])
-)
+LIMITS = [0, -0.0, 1, 0.4, 1e-3, 5e-324, 1e308, 10**12, 2**63, 10**400]
+NUMBERS = st.floats() | st.integers(-3, 10**6) | st.sampled_from(LIMITS)
 SCALARS = NUMBERS | st.booleans() | WORDS | st.text(max_size=8) | st.none()
+OWN_NAMES = NAMES | st.text(max_size=5)
 ANY_VALUES = st.recursive(
-    SCALARS, lambda inner: st.lists(inner, max_size=5) | st.dictionaries(NAMES | st.text(max_size=5), inner, max_size=5)
+    SCALARS, lambda inner: st.lists(inner, max_size=5) | st.dictionaries(OWN_NAMES, inner, max_size=5)
 )
-RANGES = st.fixed_dictionaries(
-    {"start": NUMBERS, "stop": NUMBERS, "num": NUMBERS}, optional={"spacing": WORDS | st.none()}
-)
-AXES = st.lists(NUMBERS, max_size=4) | RANGES | ANY_VALUES
+RANGES = st.fixed_dictionaries(dict.fromkeys(("start", "stop", "num"), NUMBERS), optional={"spacing": WORDS})
+OPTIONAL = {
+    "title": ANY_VALUES,
+    "starts": st.lists(WORDS | st.lists(NUMBERS, max_size=5), max_size=3),
+    "parameters": st.dictionaries(NAMES, SCALARS, max_size=4),
+    "grid": st.dictionaries(NAMES, st.lists(NUMBERS, max_size=4) | RANGES | ANY_VALUES, max_size=3),
+    "points": st.dictionaries(NAMES, st.lists(SCALARS, max_size=4), max_size=3),
+    "run": st.dictionaries(NAMES, SCALARS, max_size=4),
+}
 TABLES = st.fixed_dictionaries(
     {"scene": st.sampled_from(["vibro-impact", "rotary", "penetration", "drilling"]) | ANY_VALUES},
-    optional={
-        "title": ANY_VALUES,
-        "starts": st.lists(WORDS | st.lists(NUMBERS, max_size=5), max_size=3) | ANY_VALUES,
-        "parameters": st.dictionaries(NAMES, SCALARS, max_size=4) | ANY_VALUES,
-        "grid": st.dictionaries(NAMES, AXES, max_size=3) | ANY_VALUES,
-        "points": st.dictionaries(NAMES, st.lists(SCALARS, max_size=4), max_size=3) | ANY_VALUES,
-        "run": st.dictionaries(NAMES, SCALARS, max_size=4) | ANY_VALUES,
-    },
+    optional={name: values | ANY_VALUES for name, values in OPTIONAL.items()},
 )
 
 
@@ -228,7 +193,7 @@ def check_reading_ends(source) -> None:
 
 
 @fuzzed
-@given(TABLES | st.dictionaries(NAMES | st.text(max_size=5), ANY_VALUES, max_size=5))
+@given(TABLES | st.dictionaries(OWN_NAMES, ANY_VALUES, max_size=5))
 @example({"scene": "rotary", "grid": {"beta": [5e-324, 1.7e308]}, "run": {"settle": 1.7e308, "observe": 1.7e308}})
 @example({"scene": "rotary", "grid": {"beta": {"start": 1e-300, "stop": 1.7e308, "num": 3, "spacing": "log"}}})
 def test_fuzzed_dicts(tables):

@@ -70,17 +70,21 @@ GOOD = {
     "field": lambda t, y, p: {"x": y["v"], "v": -p["k"] * y["x"]},
     "section": "x",
 }
-RUB = {"normal": lambda t, y, p: 1.0, "law": 0.2, "acts_on": "v"}
 FORCED = lambda t, y, p: {"x": y["v"], "v": cos(t)}
+gap = lambda t, y, p: 1.0 - y["x"]
+
+
+def rub(relative=lambda t, y, p: y["v"], law=0.2, **more):
+    return vj.Friction("belt", relative, lambda t, y, p: 1.0, law, "v", **more)
+
+
 MISTAKES = {
     "is not a state": {"section": "z"},
     "field gave no rate of v": {"field": lambda t, y, p: {"x": y["v"]}},
     "field asks for 'c'": {"field": lambda t, y, p: {"x": y["v"], "v": -p["c"]}},
     "not jnp, np or math": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(y["x"])}},
     "field uses a function of np": {"field": lambda t, y, p: {"x": y["v"], "v": -np.sin(p["k"]) * y["x"]}},
-    "stop: restitution uses a function of np": {
-        "events": [vj.Impact("stop", lambda t, y, p: 1.0 - y["x"], "v", restitution=lambda p: np.exp(-p["k"]))]
-    },
+    "stop: restitution uses a function": {"events": [vj.Impact("stop", gap, "v", lambda p: np.exp(-p["k"]))]},
     "it depends on t; give period=": {"field": FORCED},
     "does not repeat after the period": {"field": FORCED, "section": None, "period": 6.0},
     "does not repeat after": {  # the forcing is 1e-11 of the other terms at states of order one
@@ -90,12 +94,12 @@ MISTAKES = {
     "it must be above zero": {"section": None, "period": lambda p: -p["k"]},
     "cannot see the switch": {"events": [vj.Switch("side", lambda t, y, p: y["x"])]},
     "decides by a value": {"field": lambda t, y, p: {"x": y["v"], "v": -max(y["x"], 0.0)}},
-    'did you mean "coulomb"?': {"events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": "coulumb"})]},
-    "belt: mass is 0; it must be above": {"events": [vj.Friction("belt", lambda t, y, p: y["v"], mass=0.0, **RUB)]},
+    'did you mean "coulomb"?': {"events": [rub(law="coulumb")]},
+    "belt: mass is 0; it must be above": {"events": [rub(mass=0.0)]},
     "cannot see the discrete state heating": {"modes": {"heating": 1}},
     "put a vj.Switch on it": {"field": lambda t, y, p: {"x": y["v"], "v": -(y["v"] > 0) * 1.0}},
-    "the velocity on which it acts": {"events": [vj.Friction("belt", lambda t, y, p: y["x"], **RUB)]},
-    "would drive it; change the sign": {"events": [vj.Friction("belt", lambda t, y, p: 0.5 - y["v"], **RUB)]},
+    "the velocity on which it acts": {"events": [rub(lambda t, y, p: y["x"])]},
+    "would drive it; change the sign": {"events": [rub(lambda t, y, p: 0.5 - y["v"])]},
     "floor of a value that depends on": {"field": lambda t, y, p: {"x": y["v"], "v": vj.elementary.floor(y["x"])}},
     "a and b have the same surface": {
         "field": lambda t, y, p, s: {"x": y["v"], "v": s["a"] - 2 * s["b"]},
@@ -106,20 +110,16 @@ MISTAKES = {
     "the name of an argument": {"parameters": {"k": 1.0, "step": 1.0}},
     "states are x, v": {"section": ["x", 0.3]},
     "stop: gap is nan at x = ": {"events": [vj.Impact("stop", lambda t, y, p: vj.elementary.sqrt(-y["x"]), "v")]},
-    "law is nan": {"events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": np.nan})]},
+    "law is nan": {"events": [rub(law=np.nan)]},
     "that is a kind of special points": {"events": [vj.Switch("fold", lambda t, y, p: y["x"])]},
     "either velocity=": {"events": [vj.Impact("stop", gap=lambda t, y, p: y["x"])]},
-    "law takes other arguments; write law(p), or a vj.FrictionLaw": {
-        "events": [vj.Friction("belt", lambda t, y, p: y["v"], **RUB | {"law": lambda u, p: 0.2})]
-    },
+    "law takes other arguments; write law(p), or a vj.FrictionLaw": {"events": [rub(law=lambda u, p: 0.2)]},
     "gap takes other arguments; write gap(t, y, p)": {"events": [vj.Impact("stop", lambda y: y["x"], "v")]},
-    "static is 0.1, below 0.2": {"events": [vj.Friction("belt", lambda t, y, p: y["v"], static=0.1, **RUB)]},
+    "static is 0.1, below 0.2": {"events": [rub(static=0.1)]},
     "asks for sign; vj.elementary has absolute": {"field": lambda t, y, p: {"x": vj.elementary.sign(y["v"])}},
-    "is the name of two events": {"events": [vj.Impact("stop", lambda t, y, p: y["x"], "v")] * 2},
+    "is the name of two events": {"events": [vj.Impact("stop", gap, "v")] * 2},
     'period is "2*pi"; write a number': {"section": None, "period": "2*pi"},
-    "reset, x, gave NoneType": {
-        "events": [vj.Impact("gate", lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"x": None})]
-    },
+    "reset, x, gave NoneType": {"events": [vj.Impact("gate", gap, reset=lambda t, y, p: {"x": None})]},
 }
 
 
@@ -183,7 +183,7 @@ def test_friction_that_drives_for_some_parameters_fails_with_reason():
 def test_trajectory_that_grows_without_bound_warns():
     """The solution of x'' = 6 x² from x = 1, x' = 2 is 1/(1 - t)²."""
     field = lambda t, y, p: {"x": y["v"], "v": 6 * y["x"] * y["x"]}
-    grows = vj.System("grows", states={"x": "m", "v": "m s-1"}, parameters={"a": 1.0}, field=field, section="v")
+    grows = systems.system("xv", field, name="grows", section="v")
     with pytest.warns(UserWarning, match=r"grows is not finite after t = (0\.99|1 s)"):
         vj.simulate(grows, start=[1.0, 2.0], duration=2.0, progress=False)
 
@@ -299,26 +299,15 @@ def test_resting_ball_leaves_table_that_falls_faster():
 
 
 DAMPING, RATE, DECAY, PERIOD = 0.2, 0.7, 0.05, np.pi
-OSCILLATOR = {"x": "m", "v": "m s-1"}
-
-
-def oscillation(t, y):
-    return {"x": y["v"], "v": vj.elementary.cos(2.0 * t) - DAMPING * y["v"] - y["x"]}
-
-
-# z decays, and w approaches an equilibrium; some starts have w there at once.
-BESIDE = vj.System(
-    "beside",
-    states={"z": "m", "w": "1"} | OSCILLATOR,
-    parameters={"q": 0.3},
-    field=lambda t, y, p: oscillation(t, y) | {"z": -DECAY * y["z"], "w": p["q"] - RATE * y["w"]},
-    period=PERIOD,
-)
 
 
 def test_states_that_stand_still_or_decay_do_not_decide():
+    """Beside an oscillation, z decays, and w approaches an equilibrium; some starts have w there at once."""
+    own = lambda t, y, p: {"x": y["v"], "v": cos(2.0 * t) - DAMPING * y["v"] - y["x"]}
+    field = lambda t, y, p: {"z": -DECAY * y["z"], "w": p["q"] - RATE * y["w"]} | own(t, y, p)
+    beside = systems.system("zwxv", field, parameters={"q": 0.3}, period=PERIOD)
     starts = [[1.0, 3 / 7, 0.0, 0.0], [1.0, 0.0, 0.3, 1.0], [0.0] * 4]
-    sweep = {"scene": BESIDE, "grid": {"q": [0.3]}, "starts": starts, "run": {"orbits": True}}
+    sweep = {"scene": beside, "grid": {"q": [0.3]}, "starts": starts, "run": {"orbits": True}}
     ds = vj.run_sweep(sweep, progress=False)
     assert ds.cycles.values.ravel().tolist() == [1, 1, 1] and set(names_of(ds)) == {"periodic"}
     assert (ds.error_estimate < 2e-6).all() and (ds.orbit_reason == 0).all() and (ds.stable == 1).all()
@@ -327,27 +316,15 @@ def test_states_that_stand_still_or_decay_do_not_decide():
     np.testing.assert_allclose(ds.orbit_w, 3 / 7, rtol=1e-9)
 
 
-def pendulum(name, *events):
-    return vj.System(
-        name,
-        states={"angle": "rad", "speed": "rad s-1"},
-        parameters={"w": 1.5, "L": (2.0, "m")},
-        field=lambda t, y, p, s: {
-            "angle": y["speed"],
-            "speed": 0.5 * vj.elementary.cos(p["w"] * t) - 0.1 * y["speed"] - vj.elementary.sin(y["angle"]),
-        },
-        period=lambda p: 2 * np.pi / p["w"],
-        events=events,
-    )
-
-
-@pytest.mark.parametrize(
-    "unit, events",
-    [
-        ("rad s-1", [vj.Impact("stop", gap=lambda t, y, p: 0.3 - y["angle"], velocity="speed", restitution=0.6)]),
-        ("rad s-1", [vj.Switch("stop", lambda t, y, p: p["L"] * y["angle"] - 0.3, impact=True)]),
-        ("rad s-2", [vj.Switch("stop", lambda t, y, p: y["speed"] - 0.3, impact=True)]),
-    ],
-)
-def test_impact_velocity_has_unit_of_rate_of_gap(unit, events):
-    assert pendulum("unit", *events).impact_unit == unit
+def test_impact_velocity_has_unit_of_rate_of_gap():
+    """The length L has no part in it: a gap of L times an angle counts as an angle."""
+    turn = lambda t, y, p: 0.5 * cos(1.5 * t) - 0.1 * y["speed"] - vj.elementary.sin(y["angle"])
+    field = lambda t, y, p, s: {"angle": y["speed"], "speed": turn(t, y, p)}
+    about = {"parameters": {"L": (2.0, "m")}, "period": 2 * np.pi / 1.5}
+    for unit, event in (
+        ("rad s-1", vj.Impact("stop", gap=lambda t, y, p: 0.3 - y["angle"], velocity="speed", restitution=0.6)),
+        ("rad s-1", vj.Switch("stop", lambda t, y, p: p["L"] * y["angle"] - 0.3, impact=True)),
+        ("rad s-2", vj.Switch("stop", lambda t, y, p: y["speed"] - 0.3, impact=True)),
+    ):
+        pendulum = systems.system({"angle": "rad", "speed": "rad s-1"}, field, event, **about)
+        assert pendulum.impact_unit == unit

@@ -6,6 +6,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+import fake_slurm
 import pytest
 import xarray as xr
 from commands import TEXT, start
@@ -13,10 +14,7 @@ from commands import TEXT, start
 import vibrojax as vj
 from vibrojax.cli import main
 
-fake_slurm = pytest.importorskip("fake_slurm")
 pytest.importorskip("submitit")
-
-
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes where Linux has them")
 
 

@@ -38,10 +38,8 @@ def test_invariants_at_every_instant(changes):
 @pytest.mark.parametrize("scene", ["penetration", "coupled-drilling"])
 def test_hole_never_fills(scene):
     """x4 is the running maximum of x3 - D/k3 and of 0 (6.3): it never falls and never lags."""
-    usual = {"duration": 0.25, "sampling": 2.5e-4} | (
-        {} if scene == "penetration" else {"gamma": 0.6, "start": "stuck"}
-    )
-    deepened = 0
+    usual, deepened = {"duration": 0.25, "sampling": 2.5e-4}, 0
+    usual |= {} if scene == "penetration" else {"gamma": 0.6, "start": "stuck"}
     for name, changes in lanes(ROCK):
         point = {"zeta": 1.1, "threshold": 61.9e3, "k3": 100.68e6} | changes
         motion = vj.simulate(scene, **usual, **point, progress=False)

@@ -2,8 +2,7 @@
 
 import struct
 import sys
-from collections import OrderedDict
-from typing import NamedTuple
+from collections import OrderedDict, namedtuple
 
 import jax
 import jax.numpy as jnp
@@ -259,10 +258,7 @@ def test_selected_lanes_in_place(length):
         np.testing.assert_array_equal(result, expected)
 
 
-WRONG = [[0, 40], [-1], [2**62], [0.0], [[0]]]
-
-
-@pytest.mark.parametrize("lanes", WRONG, ids=str)
+@pytest.mark.parametrize("lanes", [[0, 40], [-1], [2**62], [0.0], [[0]]], ids=str)
 def test_wrong_index_writes_nothing(lanes):
     """It is refused before the machine code runs, which would overwrite other memory."""
     x = np.linspace(0.1, 2.0, 40)
@@ -273,29 +269,13 @@ def test_wrong_index_writes_nothing(lanes):
     assert (bound.results == 7.0).all()
 
 
-class Pair(NamedTuple):
-    """A container like those of programs."""
-
-    first: object
-    second: object = ()
-
-
-TREES = (
-    (1.0, [2, None, (), []], {}, "3"),
-    {"b": np.ones(2), "a": {"z": None, "y": Pair(np.float32(1), (np.zeros(3),))}, "_": True},
-    ({2: 1, -1: 2, 10: 3}, Pair([Pair({"b": 1, "B": 2}), 3])),
-    ({"x": jnp.ones(2), "o": OrderedDict(b=1, a=[2, 3])}, jax.ShapeDtypeStruct((3,), float)),
-)
-
-
-@pytest.mark.parametrize("tree", TREES, ids=range(len(TREES)))
-def test_trees_are_those_of_jax(tree):
+def test_trees_are_those_of_jax():
     """Kernels number their arguments as jax does, and results are put together again from their numbers."""
+    pair = namedtuple("Pair", "first second", defaults=((),))
+    tree = {2: 1, -1: OrderedDict(b=np.ones(2), a=[2, None, (), []])}, pair([pair({"b": 1, "B": "3"}), jnp.ones(2)]), {}
     leaves, structure = flatten(tree)
     expected, by_jax = jax.tree.flatten(tree)
-    assert list(map(id, leaves)) == list(map(id, expected))
+    assert list(map(id, leaves)) == list(map(id, expected)) and structure != flatten(tree[1])[1]
     numbers = range(len(leaves))
     assert repr(unflatten(structure, numbers)) == repr(jax.tree.unflatten(by_jax, numbers))
     assert repr(map_leaves(lambda *x: x, tree, tree)) == repr(jax.tree.map(lambda *x: x, tree, tree))
-    assert [structure == flatten(other)[1] for other in TREES] == [other is tree for other in TREES]
-    assert hash(structure) == hash(flatten(tree)[1])

@@ -97,19 +97,17 @@ def test_leaving_out_a_block_is_exact_for_linear_forms():
         np.testing.assert_allclose(residual[~kept], (x @ without - rate / rate.max())[~kept], rtol=1e-6)
 
 
-def log(weight, rate, **more):
+def log(weight, rate):
     """Return a table in the units of drillers."""
     depth = 1000 + 0.5 * np.arange(weight.size)
-    return pd.DataFrame({"Depth (m)": depth, "ROP (m/h)": 3600 * rate, "WOB (kN)": weight / 1e3} | more)
+    return pd.DataFrame({"Depth (m)": depth, "ROP (m/h)": 3600 * rate, "WOB (kN)": weight / 1e3})
 
 
 def test_founder_is_told_by_formation():
     """Coefficients are of the rows below the founder weight, whose rates alone follow the law."""
     rng = np.random.default_rng(8)
-    parts = [rows(rng, *formation, count=500) for formation in FORMATIONS]
-    table = pd.concat([log(*part).assign(Formation=name) for part, name in zip(parts, "ab", strict=True)])
-    table["Depth (m)"] = 1000 + 0.5 * np.arange(1000)
-    fit = fit_quietly(table, by="Formation")
+    weight, rate = np.hstack([rows(rng, *formation, count=500) for formation in FORMATIONS])
+    fit = fit_quietly(log(weight, rate).assign(Formation=["a"] * 500 + ["b"] * 500), by="Formation")
     onset = fit.sel(form="onset")
     assert fit.attrs["verdict"] in ("onset", "none")
     for values, errors, planted in (
@@ -119,9 +117,8 @@ def test_founder_is_told_by_formation():
     ):
         assert (abs(values - planted) < 3 * errors).all()
     assert (fit.used + fit.left_out == 500).all() and (fit.data_use == 4).any("lane").all()
-    assert not (
-        fit.data_relief.where(fit.data_use.isin([1, 2])).max("lane") * fit.data_threshold > fit.founder_weight
-    ).any()
+    greatest = fit.data_relief.where(fit.data_use.isin([1, 2])).max("lane") * fit.data_threshold
+    assert not (greatest > fit.founder_weight).any()
     text = "\n".join(verdict(fit))
     assert text.count("above it the rate falls by") == 2 and "left out, rate far from the law" in text
     panel = sheet_of(fit).plots[0]

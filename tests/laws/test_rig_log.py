@@ -21,15 +21,8 @@ DEPTH, WEIGHT = 1000 + 0.5 * np.arange(N), 40 + 90 * ((7 * np.arange(N)) % N) / 
 RATE, SPEED = 6 + 22 * np.log(WEIGHT / 30), 90 + 5.5 * np.arange(N) % 30  # m/h, rpm
 TORQUE, PRESSURE, FLOW = 6 + 0.04 * np.arange(N), 15 + 0.01 * np.arange(N), np.full(N, 3035.0)  # kN m, MPa, L/min
 TONNE, KLBF, FOOT = 9.80665, 4.4482216152605, 0.3048
-SI = {
-    "depth": DEPTH,
-    "weight_on_bit": 1e3 * WEIGHT,
-    "rate_of_penetration": RATE / 3600,
-    "rotary_speed": SPEED * np.pi / 30,
-    "torque": 1e3 * TORQUE,
-    "pressure": 1e6 * PRESSURE,
-    "flow": FLOW / 6e4,
-}
+SI = {"depth": DEPTH, "weight_on_bit": 1e3 * WEIGHT, "rate_of_penetration": RATE / 3600}
+SI |= {"rotary_speed": SPEED * np.pi / 30, "torque": 1e3 * TORQUE, "pressure": 1e6 * PRESSURE, "flow": FLOW / 6e4}
 FOUR = DEPTH, RATE, WEIGHT, SPEED
 METRIC = "DEPTH (m),ROP (m/h),WOB (kN),RPM (rpm)"
 
@@ -70,44 +63,30 @@ WIDE = "TVD(ft),Depth (ft),ROP(ft/hr),WOB(KLb),RPM,Torque(lb.F),Stand Pipe Press
 IMPERIAL = TORQUE * 1e3 / FOOT / KLBF, PRESSURE * 1e6 / 6894.757293168362, FLOW / 3.785411784
 CLOCK = [f"{(23 + (30 + k) // 60) % 24:02}:{(30 + k) % 60:02}:00" for k in range(N)]
 VOLVE = "MD,TVD,RPMA,WOBA,MFIA,TQA,SPPA,ROPA", (DEPTH, DEPTH, SPEED, WEIGHT / TONNE, FLOW, TORQUE, 1e3 * PRESSURE, RATE)
-SAID = {
-    "weight_on_bit": "WOBA (t)",
-    "torque": "TQA (kN m)",
-    "pressure": "SPPA (kPa)",
-    "flow": "MFIA (L/min)",
-    "rate_of_penetration": "ROPA (m/h)",
-}
+SAID = {"weight_on_bit": "WOBA (t)", "torque": "TQA (kN m)", "pressure": "SPPA (kPa)", "flow": "MFIA (L/min)"}
+SAID |= {"rate_of_penetration": "ROPA (m/h)"}
 COMMAS = [line.replace(".", ",") for line in lines_of(*FOUR, FLOW, separator=";")]
+FEET = "~CURVE\n DEPT.F :\n ROP .FT/HR :\n WOB .KLB :\n RPM .RPM :\n~A\n"
+THREE = f"~Log_Definition\n{CURVES.format('KN')}~Log_Data | Log_Definition\n"
 CLOTHES = {
-    "clock.csv": (csv(f"Time,{METRIC}", columns=(CLOCK, *FOUR)), {}),
-    "title-and-units.csv": (csv("Well 5,,,", "", "DEPTH,ROP,WOB,RPM", "m,m/h,kN,rpm"), {}),
-    "klb.csv": (csv(WIDE, columns=(DEPTH / FOOT, *FIELD, *IMPERIAL)), {}),
-    "named-volve.csv": (csv(VOLVE[0], columns=VOLVE[1]), {"columns": SAID}),
-    "commas.csv": ("\n".join(["DEPTH (m);ROP (m/h);WOB (kN);RPM;Flow In (L/min)", *COMMAS]) + "\n", {}),
-    "feet.las": (
-        las("~CURVE\n DEPT.F :\n ROP .FT/HR :\n WOB .KLB :\n RPM .RPM :\n~A\n", lines_of(*FIELD, separator=" ")),
-        {},
-    ),
-    "wrapped.las": (las(f"~Curve\n{CURVES.format('KN')}~A\n", lines_of(*FOUR, separator="\n"), wrap="YES"), {}),
-    "three.las": (
-        las(
-            f"~Log_Definition\n{CURVES.format('KN')}~Log_Data | Log_Definition\n",
-            lines_of(*FOUR),
-            "3.0",
-            "NO : x\n DLM. COMMA",
-        ),
-        {},
-    ),
-    "lists.xml": (witsml(LISTS, lines_of(*FOUR)), {}),
-    "infos.xml": (witsml("", lines_of(*FOUR), INFOS), {}),
+    "clock.csv": csv(f"Time,{METRIC}", columns=(CLOCK, *FOUR)),
+    "title-and-units.csv": csv("Well 5,,,", "", "DEPTH,ROP,WOB,RPM", "m,m/h,kN,rpm"),
+    "klb.csv": csv(WIDE, columns=(DEPTH / FOOT, *FIELD, *IMPERIAL)),
+    "named-volve.csv": csv(VOLVE[0], columns=VOLVE[1]),
+    "commas.csv": "\n".join(["DEPTH (m);ROP (m/h);WOB (kN);RPM;Flow In (L/min)", *COMMAS]) + "\n",
+    "feet.las": las(FEET, lines_of(*FIELD, separator=" ")),
+    "wrapped.las": las(f"~Curve\n{CURVES.format('KN')}~A\n", lines_of(*FOUR, separator="\n"), wrap="YES"),
+    "three.las": las(THREE, lines_of(*FOUR), "3.0", "NO : x\n DLM. COMMA"),
+    "lists.xml": witsml(LISTS, lines_of(*FOUR)),
+    "infos.xml": witsml("", lines_of(*FOUR), INFOS),
 }
 
 
 @pytest.mark.parametrize("name", list(CLOTHES))
 def test_same_rows_in_other_clothes_are_the_same(tmp_path, name):
-    text, named = CLOTHES[name]
+    text = CLOTHES[name]
     (tmp_path / name).write_text(text)
-    log = read_log(tmp_path / name, **named)
+    log = read_log(tmp_path / name, columns=SAID if name == "named-volve.csv" else None)
     assert len(log) == N and not log.attrs["dropped"] and set(SI) & set(log) >= set(list(SI)[:4])
     for quantity in set(SI) & set(log):
         np.testing.assert_allclose(log[quantity], SI[quantity], rtol=1e-8, err_msg=quantity)
@@ -152,10 +131,7 @@ REFUSED = {
     "bare.csv": (csv(VOLVE[0], columns=VOLVE[1]), 'weight_on_bit="WOBA .kN or klbf or t." .*pressure="SPPA .kPa."'),
     "cut.xml": (witsml(LISTS, lines_of(*FOUR))[:-30], r"not XML \(.*\); export the log again, or as CSV"),
     "bomb.xml": ('<?xml version="1.0"?><!DOCTYPE x><x/>', "defines entities, which are not read"),
-    "short.las": (
-        las(f"~C\n{CURVES.format('KN')}~A\n", ["1 2 3 4", "1 2 3"]),
-        "line 13 has 3 cells; 4 are needed, one a column",
-    ),
+    "short.las": (las(f"~C\n{CURVES.format('KN')}~A\n", ["1 2 3 4", "1 2 3"]), "line 13 has 3 cells; 4 are needed"),
     # In the last file, the lost cells add up to a whole record.
     "lost.las": (wrapped([2]), "line 16: the record that begins here has other than 4 cells"),
     "lost-four.las": (wrapped([2, 3, 4, 5]), "line 16: the record that begins here has other than 4 cells"),
@@ -163,10 +139,7 @@ REFUSED = {
     "bars.csv": ("WOB (kN)|ROP (m/h)\n100|20\n110|21\n", "no numbers in the first 3 lines; commas, semicolons or tabs"),
     "slow.csv": ("WOB (kN),ROP (min/ft)\n100,3\n110,2\n", '"min/ft" is a time per length; give the rate 1/x, in ft/'),
     "thousands.csv": ("WOB (kN);ROP (m/h)\n1,500;2,500\n", "commas are ambiguous: they may be"),
-    "falling.csv": (
-        csv(METRIC, columns=(DEPTH[::-1], *FOUR[1:])),
-        r"line 3, column DEPTH \(m\): the depth falls in most rows",
-    ),
+    "falling.csv": (csv(METRIC, columns=(DEPTH[::-1], *FOUR[1:])), r"line 3, column DEPTH \(m\): the depth falls in"),
 }
 
 
@@ -266,10 +239,7 @@ def test_conditions_choose_rows():
     assert "rate beyond reason" not in read_log(fast, where="ROP < 400").attrs["dropped"]  # it replaces the limit
     for where, line in (
         ("WOB", 'where: "WOB" is no condition; write one, like "WOB'),
-        (
-            "WOB (psi) < 3",
-            'where WOB \\(psi\\) < 3: "3" does not suit weight_on_bit; write a number with a unit of N, kN',
-        ),
+        ("WOB (psi) < 3", r'where WOB \(psi\) < 3: "3" does not suit weight_on_bit; write a number with a unit of N'),
         ("WOB (kN) < 20 klbf", "the unit is kN and klbf; give one of them"),
         ("WOB (kN) < 80,5", '"80,5" does not suit weight_on_bit'),
         ("Formation < 3", "texts are only compared by = or !="),
