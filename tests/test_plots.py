@@ -196,16 +196,6 @@ def test_points_over_three_parameters_are_drawn_over_each():
     assert set(plots[0].layers[0].colours) == {REGIME_COLOURS[flag] for flag in (2, 3, 6)}
 
 
-def test_titles_break_between_words():
-    """They break between their parts, else between words, and neither within a word nor within a value."""
-    title = "start drive: 14 % of the plane"
-    assert broken_title(title, 24) == "start drive:\n14 % of the plane"
-    assert broken_title(title, 12).splitlines()[1].startswith("14 %")
-    assert broken_title("penetration: 1.94 ± 2.5 mm/s", 8) == "penetration:\n1.94 ± 2.5 mm/s"
-    assert plain("μ, v_cr of log_a") == r"μ, $\mathregular{v_{cr}}$ of log_a"
-    assert broken_title("upper\nC = 21.5 ± 0.7 m/h", 24) == "upper\nC = 21.5 ± 0.7 m/h"
-
-
 def test_rates_in_a_column_have_panels_of_one_width_and_whole_lines():
     ds = EXPECTED["rates"]()
     slips = sheet_of(ds).plots[2]
