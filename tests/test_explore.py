@@ -215,7 +215,7 @@ def test_plots_keep_their_numbers_and_are_linked_to_axes():
         Plot([strip], Axis(ticks=[(0.5, "left")]), place=(1, 0)),
     ]
     axes: list[dict[str, Any]] = [{"name": name, "columns": []} for name in ("force", "start")]
-    document = figure_document([Sheet(plots, (6.0, 4.0), heights=(1.0, 0.3))], ds, axes)
+    document = figure_document(Sheet(plots, (6.0, 4.0), heights=(1.0, 0.3)), ds, axes)
     first, second = document["plots"]
     line, points, area, upright, text = (
         next(one for one in first["items"] if one.get(key) == look)
@@ -254,7 +254,7 @@ def test_legend_has_signs_as_they_are_drawn_and_the_note_of_the_picture():
         [Plot(layers, Axis("x", limits=limits), Axis("y", limits=limits))], keys=[[chosen]], note="a = 1. Bars: errors"
     )
     ds = xr.Dataset(coords={"a": 1.0})
-    figure = figure_document([sheet], ds, [])
+    figure = figure_document(sheet, ds, [])
     assert {key["text"]: key["colour"] for key in figure["keys"]} == {"chosen": blue, "long": "#aa0000"}
     assert figure["note"] == "Bars: errors"
     assert [one["hollow"] for one in figure["plots"][0]["items"] if one["kind"] == "points"] == [False, "none"]
@@ -280,6 +280,6 @@ def test_plots_of_a_page_have_the_labels_that_panels_share():
         Plot([line], time, rate, place=(1, 0)),
         Plot([line], names, names, place=(1, 1)),
     ]
-    shown = figure_document([Sheet(plots)], xr.Dataset(), [])["plots"]
+    shown = figure_document(Sheet(plots), xr.Dataset(), [])["plots"]
     labels = [(plot["x"]["label"], plot["y"]["label"]) for plot in shown]
     assert labels == [("time [s]", "rate [m/h]"), ("", "rate [m/h]"), ("time [s]", "rate [m/h]"), ("", "")]

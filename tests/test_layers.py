@@ -90,7 +90,7 @@ RUN = """
 import sys
 import vibrojax as vj
 from vibrojax.compile import native
-native.CODE_LEVEL = native.QUICK_LEVEL
+native.CODE_LEVEL = 0
 vj.write_dataset(vj.run_sweep("map.toml", progress=False), sys.argv[1])
 print("jax" in sys.modules)
 """

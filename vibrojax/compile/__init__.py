@@ -4,12 +4,6 @@ A lane is one independent trajectory of a batch. [vibrojax.compile.native.kernel
 arguments and results are pytrees of arrays with the lanes along the last axis to a native kernel for CPUs. Where no
 kernel can be made, XLA compiles the function ([vibrojax.lanes.compiler.lane_function][]).
 
-- `translation.py`, `assembly.py`, `native.py` and others: translation of jax's trace to LLVM's intermediate
-  representation (IR), compilation; `cache.py`: the disk cache; `identity.py`: what decides a trace.
-- `trees.py`: arguments and results as pytrees, without jax.
-- `xla.py`: XLA's options, functions that run block by block, devices, threads, precision.
-- `agreement.py`: comparison of compiled elementary functions with numpy.
-
 A kernel has the semantics of jax. Each translation rule is correct for the types and parameters that it accepts: the
 tests compare random programs of all rules with XLA, bit for bit. All other cases, such as parameters of a later jax,
 raise `Untranslatable`, and XLA runs the lanes. Three things differ from XLA on a CPU:

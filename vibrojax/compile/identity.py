@@ -145,7 +145,11 @@ class _Walk:
         if name := _known_name(x):
             self.parts.append(f"known {name}")
         elif isinstance(x, np.ndarray | np.generic):
-            self._visit_array(x)
+            if x.dtype.hasobject:
+                raise Unidentified("an array of objects")
+            self.visit(type(x))
+            array = np.ascontiguousarray(x)
+            self.parts.append(f"array {array.dtype.str} {np.shape(x)} {sha256(array.tobytes()).hexdigest()}")
         elif isinstance(x, np.dtype):
             self.parts.append(f"dtype {x.str}")
         elif isinstance(x, FunctionType | type) and _is_library(_top(x.__module__)):
@@ -163,15 +167,10 @@ class _Walk:
             for part in self._parts_of(x):
                 self.visit(part)
 
-    def _visit_array(self, x: Any) -> None:
-        if x.dtype.hasobject:
-            raise Unidentified("an array of objects")
-        self.visit(type(x))
-        array = np.ascontiguousarray(x)
-        self.parts.append(f"array {array.dtype.str} {np.shape(x)} {sha256(array.tobytes()).hexdigest()}")
-
     def _parts_of(self, x: Any) -> Iterator[Any]:
         """Yield what decides about an object that is neither a number, an array, a function nor a class."""
+        jax: Any = sys.modules.get("jax")  # without classes while another thread imports it
+        jax_array: Any = getattr(jax, "Array", ())
         if isinstance(x, partial):
             yield from (x.func, x.args, x.keywords)
         elif isinstance(x, MethodType):
@@ -186,7 +185,7 @@ class _Walk:
             yield dict(x)
         elif hasattr(x, "__wrapped__") and (type(x).__module__ or "").partition(".")[0] in KNOWN:
             yield x.__wrapped__  # a function compiled by `jax.jit`, or with a cache
-        elif _is_jax_array(x):
+        elif isinstance(x, jax_array) and not isinstance(x, jax.core.Tracer):
             yield from (repr(x.aval), np.asarray(x))
         else:
             yield type(x)
@@ -283,11 +282,6 @@ def _known_name(x: Any) -> str | None:
     except (KeyError, AttributeError):
         return None
     return f"{module}.{name}" if value is x else None
-
-
-def _is_jax_array(x: Any) -> bool:
-    jax: Any = sys.modules.get("jax")  # without classes while another thread imports it
-    return isinstance(x, getattr(jax, "Array", ())) and not isinstance(x, jax.core.Tracer)
 
 
 def _top(module: str | None) -> str:

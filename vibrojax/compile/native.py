@@ -33,9 +33,9 @@ PASSES = ("sroa", "aggressive_dce")
 """LLVM's optimization passes before instruction selection. With all other passes as well, compilation takes ten times
 as long and a time step is no faster, because jax's equations are plain arithmetic already."""
 
-CODE_LEVEL, QUICK_LEVEL = 2, 0
-"""LLVM's levels of code generation, 0 to 3: of kernels, and of code that runs a few times only, such as in most tests.
-At level 0, compilation takes a third of the time; the code has the same arithmetic, and twice as many instructions."""
+CODE_LEVEL = 2
+"""LLVM's level of code generation, 0 to 3. At level 0, at which most tests run, compilation takes a third of the time;
+the code has the same arithmetic, and twice as many instructions."""
 
 REFERENCES = {"codemodel": "large", "reloc": "static"}
 """Code refers to its constants and to external functions by 64-bit addresses. The sections of an object file may be
@@ -70,16 +70,16 @@ def vector_bytes() -> int:
     return 64 if "+avx512f" in features else 32 if "+avx2" in features else 16
 
 
-def _machine(level: int | None = None) -> llvm.TargetMachine:
+def _machine() -> llvm.TargetMachine:
     target = llvm.Target.from_triple(processor().triple)
     cpu, features = processor().name, processor().features
-    return target.create_target_machine(cpu=cpu, features=features, opt=_level(level), **REFERENCES)
+    return target.create_target_machine(cpu=cpu, features=features, opt=CODE_LEVEL, **REFERENCES)
 
 
-def _object_code(text: str, level: int | None = None) -> bytes:
+def _object_code(text: str) -> bytes:
     """Return the object code of a kernel, or raise `Untranslatable` if LLVM rejects its IR text."""
     try:
-        module, machine = llvm.parse_assembly(text), _machine(level)
+        module, machine = llvm.parse_assembly(text), _machine()
     except RuntimeError as error:
         raise Untranslatable(f"a text that LLVM refuses: {str(error).strip()}") from error
     passes = llvm.create_new_module_pass_manager()
@@ -138,20 +138,17 @@ class Kernel:
     - `examples`: example arguments, or `jax.ShapeDtypeStruct` with their types. Scalars are the same for all lanes. The
       last axis of arrays is the lane axis, which may have any length.
     - `registers`: number of vector registers that hold one value of a group.
-    - `level`: level of code generation; None: `CODE_LEVEL`.
 
     Attributes: `description`; `key`, the hash of the text; `code`, the native function.
 
     **Raises:** `Untranslatable` if the function has a construct that no kernel can express.
     """
 
-    def __init__(
-        self, function: Callable[..., Any], *examples: Any, registers: int = 1, level: int | None = None
-    ) -> None:
-        description = _described(function, *examples, registers=registers, level=level)
+    def __init__(self, function: Callable[..., Any], *examples: Any, registers: int = 1) -> None:
+        description = _described(function, *examples, registers=registers)
         code = store.read(description.key)
         if code is None:
-            code = _object_code(description.text.text, level)
+            code = _object_code(description.text.text)
             store.write(description.key, code)
         self._load(description, code)
 
@@ -261,7 +258,7 @@ def _workspace(size: int, alignment: int) -> int:
     return -(-int(memory.ctypes.data) // alignment) * alignment
 
 
-def _described(function: Callable[..., Any], *examples: Any, registers: int, level: int | None) -> Description:
+def _described(function: Callable[..., Any], *examples: Any, registers: int) -> Description:
     """Trace a function and translate the trace."""
     traced = trace(function, *examples)
     inner = traced.jaxpr.jaxpr
@@ -271,18 +268,14 @@ def _described(function: Callable[..., Any], *examples: Any, registers: int, lev
     widest = max((kind.dtype.itemsize for kind in arguments if kind.dtype.kind == "f"), default=8)
     width = registers * vector_bytes() // widest
     text = kernel_text(traced.jaxpr, width)
-    key = sha256("\n".join((*_compiler(level), text.text)).encode()).hexdigest()
+    key = sha256("\n".join((*_compiler(), text.text)).encode()).hexdigest()
     tree = jax.tree.unflatten(structure, range(structure.num_leaves))
     return Description(key, arguments, results, tree, width, text)
 
 
-def _level(level: int | None) -> int:
-    return CODE_LEVEL if level is None else level
-
-
-def _compiler(level: int | None = None) -> tuple[str, ...]:
+def _compiler() -> tuple[str, ...]:
     """Return what decides about the object code of a text."""
-    return llvmlite.__version__, *processor(), *PASSES, str(_level(level)), *REFERENCES.values()
+    return llvmlite.__version__, *processor(), *PASSES, str(CODE_LEVEL), *REFERENCES.values()
 
 
 def trace(function: Callable[..., Any], *examples: Any) -> Any:

@@ -57,34 +57,30 @@ _DASHES = {"--": (3.7, 1.6), ":": (1.0, 1.65), "-.": (6.4, 1.6, 1.0, 1.6)}
 
 
 def figure_document(
-    pictures: Sequence[plots.Picture | Figure],
+    picture: plots.Picture | Figure,
     ds: xr.Dataset,
     axes: Sequence[Document],
     drawn: Sequence[str] = (),
     maps: bool = False,
 ) -> Document:
-    """Return the description of plots and figures.
+    """Return the description of a picture: its plots, or a figure as an image.
 
     Plots over the `axes` of the page's document are linked to them. The page itself draws the variables `drawn` over
     these axes, and maps over two of them unless `maps` is True.
     """
-    panels: list[Document] = []
-    bars: list[Document] = []
-    notes: list[str] = []
-    keys: dict[str, Document] = {}
-    for sheet in (plots.as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
-        panels += _plots(sheet, ds, axes, drawn, maps, bars)
-        notes.append(_own_note(sheet, ds))
-        keys = {key["text"]: key for key in _keys(sheet)} | keys
-    images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
+    if isinstance(picture, Figure):
+        return {"plots": [], "keys": [], "bars": [], "images": [_image(picture)], "note": ""}
+    sheet, bars = plots.as_sheet(picture), list[Document]()
+    panels = [*_plots(sheet, ds, axes, drawn, maps, bars)]
+    keys = {key["text"]: key for key in _keys(sheet)}
     items = [item for plot in panels for item in plot["items"]]
     colours = {colour for item in items for colour in (*item.get("colours", ()), item.get("colour", ""))}
     shapes = {item["shape"] for item in items if item["kind"] == "points"}
     # What the page draws itself has no entry here. A sign in ink stands for marks of any colour.
     occurring = [k for k in keys.values() if k["colour"] in colours or (k["colour"] == INK and k["shape"] in shapes)]
     shown = [_as_drawn(key, items) for key in occurring if not _is_hidden(key["text"], panels)]
-    note = one_line(". ".join(filter(None, dict.fromkeys(notes))), LONGEST_TEXT)
-    return {"plots": panels, "keys": shown, "bars": bars, "images": images, "note": note}
+    note = one_line(_own_note(sheet, ds), LONGEST_TEXT)
+    return {"plots": panels, "keys": shown, "bars": bars, "images": [], "note": note}
 
 
 def _own_note(sheet: Sheet, ds: xr.Dataset) -> str:

@@ -92,7 +92,7 @@ def contents_of(
         page, cells = curves_document(ds), orbit_cells(ds)
     elif (held := analysis_of(ds).page_cells(ds)) is not None:
         page = map_document(*held)
-        page["figure"] = figure_document(analysis_of(ds).page_figures(ds), held[0], page["axes"], maps=True)
+        page["figure"] = figure_document(analysis_of(ds).plots(ds), held[0], page["axes"], maps=True)
         few = held[0].sizes.get(POINT, MAP_LEAST_POINTS) < MAP_LEAST_POINTS and "sign" not in held[0].dims
         if held[1] is None or few:
             page["map"] = False
@@ -130,9 +130,8 @@ def _picture_document(ds: xr.Dataset, page: Document) -> Document | None:
     """
     drawn = [page["variables"][0]["name"]]
     try:
-        figure = figure_document(
-            analysis_of(ds).page_figures(ds), described(ds) if START in ds.dims else ds, page["axes"], drawn
-        )
+        lanes = described(ds) if START in ds.dims else ds
+        figure = figure_document(analysis_of(ds).plots(ds), lanes, page["axes"], drawn)
     except Exception as error:
         LOG.info("explore: no picture: %s", error)
         return None
@@ -150,7 +149,7 @@ def _plots_document(ds: xr.Dataset) -> Document:
     **Raises:** `InputError` if there is no picture.
     """
     try:
-        figure = figure_document(analysis_of(ds).page_figures(ds), ds, [])
+        figure = figure_document(analysis_of(ds).plots(ds), ds, [])
     except InputError as error:
         raise InputError(f"explore: {error}") from None
     return document.document_with(ds, "plots", _numbers(ds), figure=figure, without="")
@@ -266,7 +265,7 @@ def curves_document(ds: xr.Dataset) -> Document:
     names = [f"{k} ({kinds[int(ds['kind'][k])]})" for k in ds["point_curve"].values.tolist()]
     curve = document.coordinate_document(xr.DataArray(names, dims="point", name="curve"))
     page = _orbits_document(ds, [curve], map=False, first={"point": int((ds["point_curve"] == 0).sum()) // 2})
-    page["figure"] = figure_document(analysis_of(ds).page_figures(ds), ds, page["axes"], maps=True)
+    page["figure"] = figure_document(analysis_of(ds).plots(ds), ds, page["axes"], maps=True)
     return page
 
 

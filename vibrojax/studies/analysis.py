@@ -154,14 +154,6 @@ class Analysis(Settings):
         """Return the parts of a summary that only this kind of dataset has; `vibrojax info` prints them."""
         return []
 
-    def page_figures(self, ds: xr.Dataset) -> Sequence["Picture | Figure"]:
-        """Return the plots and figures that the explorer page shows of a dataset; by default those of its picture.
-
-        Plots on the page can be zoomed, saved as files and read with a cursor; a figure is shown as an image. A plot
-        over an axis of the dataset selects its lanes.
-        """
-        return [self.plots(ds)]
-
     def page_cells(self, ds: xr.Dataset) -> "tuple[xr.Dataset, Sweep | None] | None":
         """Return the cells that the explorer page shows beside the plots, and their sweep; by default none.
 

@@ -34,12 +34,6 @@ from vibrojax.studies.border_grid import GridOrbit, OrbitGrid, OrbitLoss, Vertex
 from vibrojax.studies.curves import read_line
 from vibrojax.studies.subjects import SweepAnalysis
 
-WHERE = {
-    "seed_": " from which the curve was continued; not defined for a border located between points of the grid",
-    "crossing_": " where the border crosses the line",
-}
-"""Ends of the meanings of parameters, by prefix of their names."""
-
 _PANEL = (3.3, 3.0)  # inches
 _STABLE = "#F2CC6B"
 _POINT, _POINTS = 3.5, 60.0  # size of a point of the grid [pt], and of a row of points together
@@ -232,16 +226,18 @@ class Regions:
             variables[f"cell_{name}"] = ("cell", values.ravel(), parameter_attributes(sweep, name))
         seeds = np.array([(np.nan, np.nan) if line is None else line.seed[:2] for line in lines]).reshape(-1, 2)
         vertices = np.concatenate([np.zeros((0, 2)), *(piece.points for piece in pieces)])
-        located = {"": ("vertex", vertices), "seed_": ("curve", seeds)}
+        seeded = " from which the curve was continued; not defined for a border located between points of the grid"
+        located = {"": ("vertex", vertices, ""), "seed_": ("curve", seeds, seeded)}
         if at is not None:
             which = self._names.index(at[0])
             crossed = [(k, x) for k, piece in enumerate(pieces) for x in crossings_of(piece, which, at[1])]
             variables["crossing_curve"] = ("crossing", [k for k, _ in crossed])
-            located["crossing_"] = ("crossing", np.array([x for _, x in crossed]).reshape(-1, 2))
-        for prefix, (dimension, points) in located.items():
+            crossings = np.array([x for _, x in crossed]).reshape(-1, 2)
+            located["crossing_"] = ("crossing", crossings, " where the border crosses the line")
+        for prefix, (dimension, points, where) in located.items():
             for name, values in zip(self._names, points.T, strict=True):
                 about = parameter_attributes(sweep, name)
-                about["long_name"] += WHERE.get(prefix, "")
+                about["long_name"] += where
                 variables[prefix + name] = (dimension, values, about)
         coordinates: dict[str, Any] = {}
         start_attributes = {"units": "1", "long_name": "start of the motions whose region it is; any: of all orbits"}

@@ -52,8 +52,6 @@ if TYPE_CHECKING:
 TRAJECTORY_MAX_SAMPLES = 2_000_000
 """Maximum number of samples: some 200 MB of states and forces, more than any plot can show."""
 
-SECTION = "to the section (the bit overtakes the drive)"
-
 DURATION_MARGIN = 1.15
 """Ratio of the recommended duration to the shortest sufficient duration."""
 
@@ -301,7 +299,8 @@ def feature_lines(ds: xr.Dataset) -> list[str]:
     lines += [", ".join(quantities)] if quantities else []
     last = f"measured from {run['settle']:.4g} s to the end at {run['settle'] + run['observe']:.4g} s"
     if "returns" in values:
-        last += f": {counted(int(values['returns']), 'return')} {SECTION if 'x1' in ds else 'to the section'}"
+        last += f": {counted(int(values['returns']), 'return')} to the section"
+        last += " (the bit overtakes the drive)" * ("x1" in ds)
     return [*lines, "; ".join(filter(None, [last, unsettled_text(values.get("drift_estimate", math.nan))]))]
 
 
