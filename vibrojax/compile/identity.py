@@ -170,6 +170,7 @@ class _Walk:
     def _parts_of(self, x: Any) -> Iterator[Any]:
         """Yield what decides about an object that is neither a number, an array, a function nor a class."""
         jax: Any = sys.modules.get("jax")  # without classes while another thread imports it
+        jax_array: Any = getattr(jax, "Array", ())
         if isinstance(x, partial):
             yield from (x.func, x.args, x.keywords)
         elif isinstance(x, MethodType):
@@ -184,7 +185,7 @@ class _Walk:
             yield dict(x)
         elif hasattr(x, "__wrapped__") and (type(x).__module__ or "").partition(".")[0] in KNOWN:
             yield x.__wrapped__  # a function compiled by `jax.jit`, or with a cache
-        elif isinstance(x, getattr(jax, "Array", ())) and not isinstance(x, jax.core.Tracer):
+        elif isinstance(x, jax_array) and not isinstance(x, jax.core.Tracer):
             yield from (repr(x.aval), np.asarray(x))
         else:
             yield type(x)
