@@ -16,13 +16,9 @@ _LONGEST_VALUE = 60
 _LONGEST_KEY = 80
 """Greatest number of characters of a key, which may be the name of a column in a file from others."""
 
-_SIMILARITY = 0.5
-"""Least similarity between a suggestion and the misspelt word; the default of `difflib` for close matches is 0.6."""
-
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode categories of control characters, of characters that set the text direction, and of lone surrogates."""
 
-_REPLACEMENT = "\ufffd"
 _PLAIN_VALUE = re.compile(r"[A-Za-z0-9 _().,/%+:-]*")
 
 NOT_KNOWN_YET = "uses a function of np on a value that is not known yet; use vj.elementary"
@@ -97,7 +93,8 @@ def nearest(word: str, words: Iterable[str]) -> str | None:
         return SequenceMatcher(None, first, second).ratio() + 0.1 * (first[:1] == second[:1])
 
     best = max(words, key=similarity, default=None)
-    return best if best is not None and similarity(best) >= _SIMILARITY else None
+    # The default of `difflib` for close matches is 0.6.
+    return best if best is not None and similarity(best) >= 0.5 else None
 
 
 def suggestion(word: str, words: Iterable[str]) -> str:
@@ -127,7 +124,7 @@ def printable(text: object, longest: int | None = None, keep_spaces: bool = Fals
     line = str(text)
     if longest is not None:
         line = line[: 4 * longest]  # a very long string is cut before the characters are checked
-    line = "".join(_REPLACEMENT if _is_hidden(char) and not char.isspace() else char for char in line)
+    line = "".join("\ufffd" if _is_hidden(char) and not char.isspace() else char for char in line)
     line = re.sub(r"\s", " ", line) if keep_spaces else " ".join(line.split())
     return line if longest is None or len(line) <= longest else f"{line[: longest - 1].rstrip()}…"
 

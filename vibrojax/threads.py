@@ -21,9 +21,6 @@ asked_to_end: list[BaseException] = []
 """Exceptions requested by signals. Signal handlers append them to this list, since jax drops exceptions raised during
 garbage collection."""
 
-_POLL_SECONDS = 0.2
-"""Longest delay [s] before an interrupt is handled."""
-
 _CLEAN_UP: list[Callable[[], object]] = []
 
 Tasks = SimpleQueue[tuple[Future[Any], Callable[..., Any], Any] | None]
@@ -87,7 +84,7 @@ def in_own_thread(work: Callable[[], Result]) -> Result:
     tasks.put((future, lambda _: work(), None))
     tasks.put(None)
     threading.Thread(target=_serve, args=(tasks,), name="work", daemon=True).start()
-    while not wait([future], _POLL_SECONDS).done:  # a signal that another thread receives does not end waiting
+    while not wait([future], 0.2).done:  # a signal that another thread receives does not end waiting
         if asked_to_end:
             raise asked_to_end[0]
     return future.result()

@@ -39,11 +39,6 @@ _UNKNOWN_COMMAND = re.compile(r"(argument COMMAND: invalid choice: '(.*?)') \(ch
 MAX_STDERR_LINE = 4000
 """Maximum length of a line on stderr [characters]: a line may quote a file."""
 
-_LOUDNESS = either(
-    flag("--quiet", "print only errors, warnings and the result"),
-    flag("--verbose", "report automatic choices and run times on stderr"),
-)
-
 _COMMANDS: dict[str, Command | str] = {
     "sweep": sweep,
     "simulate": "trajectory",
@@ -213,7 +208,11 @@ def _parser(words: Sequence[str]) -> ArgumentParser:
         assert command is not None
         subparser = subparsers.add_parser(name, help=command.summary, description=command.summary, allow_abbrev=False)
         if known:
-            for add_arguments in (*command.arguments, _LOUDNESS):
+            loudness = either(
+                flag("--quiet", "print only errors, warnings and the result"),
+                flag("--verbose", "report automatic choices and run times on stderr"),
+            )
+            for add_arguments in (*command.arguments, loudness):
                 add_arguments(subparser)
     return parser
 

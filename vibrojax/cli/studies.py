@@ -2,7 +2,6 @@
 
 import re
 from argparse import RawDescriptionHelpFormatter
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,6 @@ from vibrojax.cli.arguments import (
     KEPT,
     MANY,
     SWEEP,
-    AddArguments,
     Command,
     Options,
     argument,
@@ -53,13 +51,7 @@ def study_command(kind: str, summary: str = "") -> Command:
         summary = match[1] if match else ""
 
     def add(parser: Any) -> None:
-        about = _class_of(kind)
-        parser.description = str(about.__doc__ or summary).splitlines()[0].rstrip(".")
-        if about.subject == "machines" and about.terms:
-            parser.formatter_class = RawDescriptionHelpFormatter
-            parser.epilog = f"words used in the output:\n{glossary(*about.terms)}"
-        for add_argument in _arguments(about):
-            add_argument(parser)
+        _add_arguments(parser, _class_of(kind))
 
     return Command(summary, (add,), lambda options: _run(_class_of(kind), options))
 
@@ -71,33 +63,38 @@ def _class_of(kind: str) -> Any:
     return type(analysis_named(kind))
 
 
-def _arguments(about: Any) -> Iterator[AddArguments]:
-    """Yield the arguments of the command of an analysis."""
+def _add_arguments(parser: Any, about: Any) -> None:
+    """Add the arguments of the command of an analysis to its parser."""
     from vibrojax.settings.fields import settings_of
     from vibrojax.settings.run_settings import RunSettings
 
-    settings = settings_of(about)
+    parser.description = str(about.__doc__ or parser.description).splitlines()[0].rstrip(".")
+    settings, default = settings_of(about), f"NAME-{about.kind}.nc"
     if about.subject == "machines":
-        yield argument("scene", "SCENE", about.scenes)
+        default = f"SCENE-{about.kind}.nc"
+        if about.terms:
+            parser.formatter_class = RawDescriptionHelpFormatter
+            parser.epilog = f"words used in the output:\n{glossary(*about.terms)}"
+        argument("scene", "SCENE", about.scenes)(parser)
         run = settings_of(RunSettings)
         text = f"parameters, and friction{LISTS * about.lists}{TOLERANCES * about.tolerances}. Also {START}"
         for name, item in (settings | {name: run[name] for name in about.run_settings}).items():
             if meaning := item.metadata.get("help"):
                 usual = f"; default: {item.default:g}" if isinstance(item.default, (int, float)) else ""
                 text += f"; {name} ({meaning}{usual})"
-        yield words(text.replace("%", "%%"))
+        words(text.replace("%", "%%"))(parser)
     elif about.subject == "file":
-        yield argument("file", "FILE", about.about)
+        argument("file", "FILE", about.about)(parser)
         if about.columns:
-            yield argument("--columns", "NAME=COLUMN", about.columns, **MANY)
+            argument("--columns", "NAME=COLUMN", about.columns, **MANY)(parser)
     else:
         text = "the dataset of a sweep (.nc); the sweep is run again if the dataset lacks what the analysis needs"
-        yield argument("file", "FILE", SWEEP + text)
+        argument("file", "FILE", SWEEP + text)(parser)
         for name, item in settings.items():
             metavar = item.metadata.get("metavar") or name.upper()
-            yield argument(_option(name), metavar, item.metadata.get("help", ""))
-    default = f"{'SCENE' if about.subject == 'machines' else 'NAME'}-{about.kind}.nc"
-    yield from result_options(getattr(about, "file", "") or default)
+            argument(_option(name), metavar, item.metadata.get("help", ""))(parser)
+    for add_argument in result_options(getattr(about, "file", "") or default):
+        add_argument(parser)
 
 
 def _option(name: str) -> str:

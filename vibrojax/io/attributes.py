@@ -33,37 +33,37 @@ LONGEST_NAME = 100
 def check_attributes(ds: xr.Dataset) -> None:
     """Raise `InputError` if the value of a known attribute is malformed."""
     for name in _SCHEMA:
-        _read(ds, name, None)
+        attribute_of(ds, name)
 
 
 def title_of(ds: xr.Dataset, otherwise: str = "") -> str:
     """Return the title shortened to one line, or `otherwise` if the dataset has no title."""
-    return printable(_read(ds, "title", "") or otherwise, LONGEST_TITLE)
+    return printable(attribute_of(ds, "title", "") or otherwise, LONGEST_TITLE)
 
 
 def text_of(ds: xr.Dataset, name: str, otherwise: str = "") -> str:
     """Return a string attribute shortened to one line, or `otherwise` if the attribute is missing."""
-    return printable(_read(ds, name, otherwise), LONGEST_TEXT)
+    return printable(attribute_of(ds, name, otherwise), LONGEST_TEXT)
 
 
 def run_of(ds: xr.Dataset) -> dict[str, Any]:
     """Return the run settings (empty if missing); `settle` [s], `observe` [s] and `error` are numbers where present."""
-    return dict(_read(ds, "run", {}))
+    return dict(attribute_of(ds, "run", {}))
 
 
 def parameters_of(ds: xr.Dataset) -> dict[str, float]:
     """Return the fixed parameters in SI units, by name."""
-    return {name: float(value) for name, value in _read(ds, "parameters", {}).items()}
+    return {name: float(value) for name, value in attribute_of(ds, "parameters", {}).items()}
 
 
 def parameter_units_of(ds: xr.Dataset) -> dict[str, str]:
     """Return the units of the parameters of a scene of the user's own, by name; empty for scenes of the package."""
-    return {name: printable(unit, LONGEST_NAME) for name, unit in _read(ds, "parameter_units", {}).items()}
+    return {name: printable(unit, LONGEST_NAME) for name, unit in attribute_of(ds, "parameter_units", {}).items()}
 
 
 def differing_of(ds: xr.Dataset) -> list[dict[str, Any]]:
     """Return name, symbol, units, value and default of the fixed parameters that differ from the default."""
-    return list(_read(ds, "differing", []))
+    return list(attribute_of(ds, "differing", []))
 
 
 def hole_radius_of(ds: xr.Dataset) -> float | None:
@@ -76,17 +76,17 @@ def hole_radius_of(ds: xr.Dataset) -> float | None:
 
 def history_of(ds: xr.Dataset) -> list[str]:
     """Return the first `MOST_LINES` lines of the history, newest first, each shortened."""
-    return [printable(line, LONGEST_TEXT) for line in str(_read(ds, "history", "")).split("\n")[:MOST_LINES]]
+    return [printable(line, LONGEST_TEXT) for line in str(attribute_of(ds, "history", "")).split("\n")[:MOST_LINES]]
 
 
-def attribute_of(ds: xr.Dataset, name: str) -> Any:
-    """Return the checked value of an attribute, or None if the attribute is missing."""
-    return _read(ds, name, None)
+def attribute_of(ds: xr.Dataset, name: str, otherwise: Any = None) -> Any:
+    """Return the checked value of an attribute, or `otherwise` if the attribute is missing."""
+    return _checked(Place(f"attribute {name}"), ds.attrs[name], _SCHEMA[name]) if name in ds.attrs else otherwise
 
 
 def table_of(ds: xr.Dataset, name: str) -> dict[str, Any]:
     """Return an attribute that holds a JSON object as a dict, empty if the attribute is missing."""
-    return dict(_read(ds, name, {}))
+    return dict(attribute_of(ds, name, {}))
 
 
 def lane_count(ds: xr.Dataset) -> int | None:
@@ -98,10 +98,6 @@ def certified_of(ds: xr.Dataset) -> dict[str, Any]:
     """Return the counts over the lanes that were computed together, empty if the dataset holds others."""
     counts = table_of(ds, "certified")
     return counts if counts.get("lanes") in (None, lane_count(ds)) else {}
-
-
-def _read(ds: xr.Dataset, name: str, otherwise: Any) -> Any:
-    return _checked(Place(f"attribute {name}"), ds.attrs[name], _SCHEMA[name]) if name in ds.attrs else otherwise
 
 
 def _checked(place: Place, value: Any, form: Any) -> Any:
