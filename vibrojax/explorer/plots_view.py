@@ -37,16 +37,12 @@ from vibrojax.pictures.colours import Value
 from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import INK, settings
 
-ITEM_MAX_POINTS = 20_000
-"""Number of points of an item above which only every n-th is described; a screen has fewer pixels."""
+ITEM_MAX_POINTS = 20_000  # points of an item above which only every n-th is described
 
 LABEL_MAX_CHARACTERS = 120
 
-LOW_INCHES, WIDE_SHARE = 1.4, 0.62
-"""Height below which a plot is a strip, and share of the sheet's width from which it has a row of its own."""
-
-LEAST_LINE = 0.03
-"""Length of a line, as a share of the axes, below which it has no entry in the legend."""
+LOW_INCHES, WIDE_SHARE = 1.4, 0.62  # height up to which a plot is a strip; share of the width from which it is alone
+LEAST_LINE = 0.03  # length of a line, as a share of the axes, below which it has no entry in the legend
 
 IMAGE_DPI = 160
 
@@ -73,7 +69,10 @@ def figure_document(
     keys: dict[str, Document] = {}
     for sheet in (plots.as_sheet(picture) for picture in pictures if not isinstance(picture, Figure)):
         panels += _plots(sheet, ds, axes, drawn, maps, bars)
-        notes.append(_own_note(sheet, ds))
+        note = sheet.note  # without what the head of the page says of the dataset
+        for known in (point_text(ds), point_text(ds.squeeze()), certified_text(ds)):
+            note = note.removeprefix(known).removeprefix(". ")
+        notes.append(note)
         keys = {key["text"]: key for key in _keys(sheet)} | keys
     images = [_image(picture) for picture in pictures if isinstance(picture, Figure)]
     items = [item for plot in panels for item in plot["items"]]
@@ -84,14 +83,6 @@ def figure_document(
     shown = [_as_drawn(key, items) for key in occurring if not _is_hidden(key["text"], panels)]
     note = one_line(". ".join(filter(None, dict.fromkeys(notes))), LONGEST_TEXT)
     return {"plots": panels, "keys": shown, "bars": bars, "images": images, "note": note}
-
-
-def _own_note(sheet: Sheet, ds: xr.Dataset) -> str:
-    """Return the note of a sheet without what the head of the page says of the dataset."""
-    note = sheet.note
-    for known in (point_text(ds), point_text(ds.squeeze()), certified_text(ds)):
-        note = note.removeprefix(known).removeprefix(". ")
-    return note
 
 
 def _is_hidden(label: str, panels: Sequence[Document]) -> bool:
@@ -218,7 +209,6 @@ def _step(values: np.ndarray) -> int:
 
 
 def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
-    """Yield the descriptions of a layer."""
     about = {"label": "" if isinstance(layer, plots.Cells | plots.Text) else _plain(layer.label)}
     if isinstance(layer, plots.Line | plots.Points) and np.size(layer.x):
         points = _xy(plot, layer.x, layer.y)
