@@ -39,8 +39,7 @@ from vibrojax.studies.attractors import BEYOND
 
 Document = dict[str, Any]
 
-SYMBOL_MAX_CHARACTERS = 40
-"""Maximum length of a unit or symbol in the page; more would not fit next to an axis."""
+SYMBOL_MAX_CHARACTERS = 40  # maximum length of a unit or symbol in the page; more would not fit next to an axis
 
 COMMAND_MAX_SECONDS = 10_000.0
 """Longest duration in a command; a dataset may specify a duration whose simulation takes years."""

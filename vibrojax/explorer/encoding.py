@@ -48,17 +48,10 @@ from vibrojax.errors import InputError
 EVENTS = ("none", "stick", "slip", "impact", "release", "section", "switch", "slide")
 """Meanings of the event number in a sample's flag; the same as in `event_kind` of a trajectory."""
 
-STUCK, TOUCHING = 8, 16
-"""Bits of a sample's flag: the bit sticks, and the striker touches the bit."""
-
-STATE_LEVELS = 2047
-"""Number of intervals between the least and the greatest value of a column: finer than the pixels of a screen."""
-
-TIME_LEVELS = 16383
-"""Number of time intervals over the duration of a motion."""
-
-MANTISSA_BITS = 16
-"""Stored bits of a float's mantissa: five decimal digits."""
+STUCK, TOUCHING = 8, 16  # bits of a sample's flag: the bit sticks, and the striker touches the bit
+STATE_LEVELS = 2047  # intervals between the least and the greatest value of a column: finer than the pixels of a screen
+TIME_LEVELS = 16383  # number of time intervals over the duration of a motion
+MANTISSA_BITS = 16  # stored bits of a float's mantissa: five decimal digits
 
 Samples = Float[np.ndarray, " samples"]
 
@@ -167,5 +160,4 @@ def _quantised(values: np.ndarray) -> tuple[np.ndarray, list[float]]:
 
 
 def _rounded(value: float) -> float:
-    """Return a value rounded to seven digits, for a header."""
     return float(f"{value:.7g}")

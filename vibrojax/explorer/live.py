@@ -38,20 +38,14 @@ from vibrojax.progress import LOG
 
 HOST = "127.0.0.1"
 
-BODY_MAX_BYTES = 16_384
-"""Maximum size of a request body; parameters and an initial condition take a few hundred bytes."""
+BODY_MAX_BYTES = 16_384  # maximum size of a request body; parameters and an initial condition take a few hundred bytes
 
 HEADER_MAX_SECONDS, REQUEST_MAX_SECONDS = 3.0, 30.0
 """Time within which a connection must have sent the token, and further time for the request and its response."""
 
-CONNECTIONS_MAX = 32
-"""Largest number of open connections; a new one takes the place of the one whose time limit ends first."""
-
-SILENCE_MAX_SECONDS = 5.0
-"""Longest pause within a request."""
-
-METHODS = {"": ("GET", "HEAD"), "motion": ("POST",)}
-"""Allowed methods by the path after the token."""
+CONNECTIONS_MAX = 32  # open connections; a new one takes the place of the one whose time limit ends first
+SILENCE_MAX_SECONDS = 5.0  # longest pause within a request
+METHODS = {"": ("GET", "HEAD"), "motion": ("POST",)}  # allowed methods by the path after the token
 
 SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",

@@ -41,26 +41,19 @@ from vibrojax.pictures.starts import described, on_axes, varied_states
 from vibrojax.progress import Progress, quiet
 from vibrojax.studies.attractors import attractor_colours
 
-LANE = "lane_number"
-"""Name of the variable with the number of the lane that each map cell shows."""
+LANE = "lane_number"  # name of the variable with the number of the lane that each map cell shows
 
 LEADING_VARIABLES = (
     *("lane_attractor", "regime", "rate_of_penetration"),
     *("share", "elasticity", "impact_velocity", "period", "bit_amplitude"),
 )
 
-OVERLAY_MAX_POINTS = 200_000
-"""Number of points of curves above which a page does not draw them; its file would take tens of megabytes."""
-
-REPEAT_MARGIN = 1e-3
-"""Additional recorded time, as a fraction of the return interval, so that the last crossing is recorded."""
+OVERLAY_MAX_POINTS = 200_000  # points of curves above which a page, of tens of megabytes, does not draw them
+REPEAT_MARGIN = 1e-3  # additional recorded time, in return intervals, so that the last crossing is recorded
 
 
 def map_document(ds: xr.Dataset, sweep: Sweep | None = None) -> Document:
-    """Return the JSON document of a dataset over axes, empty if there is no variable to show.
-
-    **Arguments:** `sweep`: the sweep of the dataset, if there is one.
-    """
+    """Return the JSON document of a dataset over axes, and its sweep, if it has one; empty if nothing can be shown."""
     if sweep is not None and LANE not in ds and has_lanes_of(ds, sweep):
         numbers = xr.DataArray(sweep.over_dims(np.arange(sweep.lanes)).astype(np.int32), dims=sweep.dims)
         ds = ds.assign({LANE: numbers.squeeze([name for name in sweep.dims if name not in ds.dims])})

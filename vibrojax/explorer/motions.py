@@ -38,20 +38,11 @@ from vibrojax.studies.trajectory_recording import Recorded, constants_at, record
 PLACE = Place("explore")
 BOX = PLACE.at("box")
 
-ANSWER_ACCURACY = 1e-4
-"""Error tolerance of a motion; the page shows no more digits."""
-
-MOTION_MAX_SECONDS = 60.0
-"""Longest simulated time, even if the sweep settles for longer, so that the motion appears at once."""
-
-MOTION_MAX_STEPS = 400_000
-"""Maximum number of steps of a motion; more would take seconds and gigabytes. A typical motion has a few thousand."""
-
-BOX_MAX_SIDE = 50
-"""Maximum number of values along an axis of a box; more cells would take minutes."""
-
-LOG_SLIDER_RATIO = 30.0
-"""Smallest ratio of the greatest to the least value of a logarithmic slider."""
+ANSWER_ACCURACY = 1e-4  # error tolerance of a motion; the page shows no more digits
+MOTION_MAX_SECONDS = 60.0  # longest simulated time, also of a sweep that settles for longer: it appears at once
+MOTION_MAX_STEPS = 400_000  # more would take seconds and gigabytes; a typical motion has a few thousand
+BOX_MAX_SIDE = 50  # maximum number of values along an axis of a box; more cells would take minutes
+LOG_SLIDER_RATIO = 30.0  # smallest ratio of the greatest to the least value of a logarithmic slider
 
 
 class LiveMotions:

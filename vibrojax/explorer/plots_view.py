@@ -37,16 +37,12 @@ from vibrojax.pictures.colours import Value
 from vibrojax.pictures.plots import Plot, Sheet
 from vibrojax.pictures.style import INK, settings
 
-ITEM_MAX_POINTS = 20_000
-"""Number of points of an item above which only every n-th is described; a screen has fewer pixels."""
+ITEM_MAX_POINTS = 20_000  # points of an item above which only every n-th is described
 
 LABEL_MAX_CHARACTERS = 120
 
-LOW_INCHES, WIDE_SHARE = 1.4, 0.62
-"""Height below which a plot is a strip, and share of the sheet's width from which it has a row of its own."""
-
-LEAST_LINE = 0.03
-"""Length of a line, as a share of the axes, below which it has no entry in the legend."""
+LOW_INCHES, WIDE_SHARE = 1.4, 0.62  # height up to which a plot is a strip; share of the width from which it is alone
+LEAST_LINE = 0.03  # length of a line, as a share of the axes, below which it has no entry in the legend
 
 IMAGE_DPI = 160
 
@@ -72,22 +68,17 @@ def figure_document(
     sheet, bars = plots.as_sheet(picture), list[Document]()
     panels = [*_plots(sheet, ds, axes, drawn, maps, bars)]
     keys = {key["text"]: key for key in _keys(sheet)}
+    note = sheet.note  # without what the head of the page says of the dataset
+    for known in (point_text(ds), point_text(ds.squeeze()), certified_text(ds)):
+        note = note.removeprefix(known).removeprefix(". ")
     items = [item for plot in panels for item in plot["items"]]
     colours = {colour for item in items for colour in (*item.get("colours", ()), item.get("colour", ""))}
     shapes = {item["shape"] for item in items if item["kind"] == "points"}
     # What the page draws itself has no entry here. A sign in ink stands for marks of any colour.
     occurring = [k for k in keys.values() if k["colour"] in colours or (k["colour"] == INK and k["shape"] in shapes)]
     shown = [_as_drawn(key, items) for key in occurring if not _is_hidden(key["text"], panels)]
-    note = one_line(_own_note(sheet, ds), LONGEST_TEXT)
+    note = one_line(note, LONGEST_TEXT)
     return {"plots": panels, "keys": shown, "bars": bars, "images": [], "note": note}
-
-
-def _own_note(sheet: Sheet, ds: xr.Dataset) -> str:
-    """Return the note of a sheet without what the head of the page says of the dataset."""
-    note = sheet.note
-    for known in (point_text(ds), point_text(ds.squeeze()), certified_text(ds)):
-        note = note.removeprefix(known).removeprefix(". ")
-    return note
 
 
 def _is_hidden(label: str, panels: Sequence[Document]) -> bool:
@@ -214,7 +205,6 @@ def _step(values: np.ndarray) -> int:
 
 
 def _items(layer: plots.Layer, plot: Plot) -> Iterator[Document]:
-    """Yield the descriptions of a layer."""
     about = {"label": "" if isinstance(layer, plots.Cells | plots.Text) else _plain(layer.label)}
     if isinstance(layer, plots.Line | plots.Points) and np.size(layer.x):
         points = _xy(plot, layer.x, layer.y)

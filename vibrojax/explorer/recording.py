@@ -25,48 +25,23 @@ from vibrojax.scenes import HasContact, HasFriction, Scene
 from vibrojax.scenes.declared import Values
 from vibrojax.stepping import LOCATED_STRIDE, Accuracy, Lane, Located, lane_at
 
-RECORDED_LANES = 128
-"""Number of lanes that are recorded at once; their steps take about 20 MB."""
-
-RECORD_BATCH_STEPS, RECORD_MAX_BATCHES = 64, 40
-"""Number of steps of each lane per batch, and maximum number of batches of a record."""
-
+RECORDED_LANES = 128  # number of lanes that are recorded at once; their steps take about 20 MB
+RECORD_BATCH_STEPS, RECORD_MAX_BATCHES = 64, 40  # steps of each lane per batch, and most batches of a record
 RECORD_ACCURACY = Accuracy(tolerance=1e-9, stride=LOCATED_STRIDE, step=np.inf)
-
-SHOWN_RETURNS, SECTION_RETURNS = 5, 48
-"""Numbers of return intervals and of section crossings that are shown of a lane that is not periodic."""
-
-SHOWN_SECONDS = 2.0
-"""Displayed time of a lane that never crosses the section."""
-
-RETURN_SAMPLES, CELL_MAX_SAMPLES = 56, 180
-"""Number of evenly spaced samples per return interval, and maximum for a motion, of up to four states."""
-
-TRAJECTORY_FINENESS = 6
-"""Ratio of the samples of a trajectory, which is the only motion of its page, to those of a lane."""
-
-LEAST_JUMP = 2e-3
-"""Least difference of the values before and after a jump, as a fraction of a state's range: a pixel of a plot."""
-
-PULSE_TOLERANCE, PULSE_MAX_CYCLES, LAST_PULSES = 1e-3, 8, 32
-"""Largest difference of states one period apart, relative to half their peak-to-peak ranges; longest period in pulses;
-and number of pulses at the end of a motion that are compared."""
-
-STEP_PLACES = 6
-"""Number of points in each step at which the path of the states is measured."""
-
-EVENT_PRIORITY = ("section", "switch", "release", "slip", "slide", "stick", "impact")
-"""Order of simultaneous events; the page shows the last in this list."""
-
-TIME_TOLERANCE = 1e-6
-"""Times count as equal if they differ by less than this fraction of the motion's duration."""
-
-SECTION_STATES = ("x1", "x2", "v2", "x3", "v3")
-"""States whose values at section crossings are shown, if the scene has them."""
+SHOWN_RETURNS, SECTION_RETURNS = 5, 48  # return intervals and section crossings shown of a lane that is not periodic
+SHOWN_SECONDS = 2.0  # displayed time of a lane that never crosses the section
+RETURN_SAMPLES, CELL_MAX_SAMPLES = 56, 180  # samples per return interval, and most of a motion of up to four states
+TRAJECTORY_FINENESS = 6  # samples of a trajectory, the only motion of its page, in units of those of a lane
+LEAST_JUMP = 2e-3  # least difference of the values beside a jump, in units of the state's range: a pixel of a plot
+PULSE_TOLERANCE = 1e-3  # greatest difference of states one period apart, relative to half their peak-to-peak ranges
+PULSE_MAX_CYCLES, LAST_PULSES = 8, 32  # longest period in pulses, and pulses at the end of a motion that are compared
+STEP_PLACES = 6  # number of points in each step at which the path of the states is measured
+EVENT_PRIORITY = ("section", "switch", "release", "slip", "slide", "stick", "impact")  # of simultaneous ones the last
+TIME_TOLERANCE = 1e-6  # times count as equal if they differ by less than this fraction of the motion's duration
+SECTION_STATES = ("x1", "x2", "v2", "x3", "v3")  # shown at section crossings, if the scene has them
 
 Samples = Float[np.ndarray, " samples"]
-Moments = Mapping[str, np.ndarray]
-"""Times [s] of the events of a motion, by kind."""
+Moments = Mapping[str, np.ndarray]  # times [s] of the events of a motion, by kind
 
 
 class Excerpt(NamedTuple):

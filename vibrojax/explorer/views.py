@@ -38,14 +38,9 @@ from vibrojax.progress import LOG
 from vibrojax.scenes import SCENES
 from vibrojax.studies.analysis import SummaryPart, analysis_of
 
-PAGE_MAX_LANES = 40_000
-"""Number of lanes above which a page contains no motions; browsers open a larger file slowly."""
-
-MAP_LEAST_POINTS = 8
-"""Number of points of a list below which they are chosen in the plots of their analysis, without a map of their own."""
-
-HISTORY_BINS = 1200
-"""Number of time intervals, of each of which the least and greatest value are shown: one per pixel of a wide plot."""
+PAGE_MAX_LANES = 40_000  # number of lanes above which a page contains no motions; browsers open a larger file slowly
+MAP_LEAST_POINTS = 8  # points of a list below which they are chosen in the plots of their analysis, without a map
+HISTORY_BINS = 1200  # time intervals of which the extremes are shown: one per pixel of a wide plot
 
 
 class Contents(NamedTuple):
@@ -101,7 +96,12 @@ def contents_of(
             cells = lane_cells(held[1], progress)
     else:
         page, cells = _map_contents(ds, over, own, progress) if view not in ("plots", "orbits") else ({}, ())
-        page = page or _plots_document(ds)
+        if not page:
+            try:
+                figure = figure_document(analysis_of(ds).plots(ds), ds, [])
+            except InputError as error:
+                raise InputError(f"explore: {error}") from None
+            page = document.document_with(ds, "plots", _numbers(ds), figure=figure, without="")
     return Contents(ds, page | {"summary": summary_parts(ds)}, cells)
 
 
@@ -143,26 +143,12 @@ def _picture_document(ds: xr.Dataset, page: Document) -> Document | None:
     return figure if figure["plots"] or figure["images"] else None
 
 
-def _plots_document(ds: xr.Dataset) -> Document:
-    """Return the JSON document of a dataset that its analysis shows as plots and a summary.
-
-    **Raises:** `InputError` if there is no picture.
-    """
-    try:
-        figure = figure_document(analysis_of(ds).plots(ds), ds, [])
-    except InputError as error:
-        raise InputError(f"explore: {error}") from None
-    return document.document_with(ds, "plots", _numbers(ds), figure=figure, without="")
-
-
 def _numbers(ds: xr.Dataset) -> list[Document]:
-    """Return the descriptions of the variables without an axis."""
     numbers = [data for data in ds.data_vars.values() if data.ndim == 0 and data.dtype.kind in "fiu"]
     return [document.variable_document(data) | {"map": None} for data in numbers]
 
 
 def _motion_document(ds: xr.Dataset) -> Document:
-    """Return the JSON document of a trajectory, given the dataset of `simulate`."""
     if not ds.sizes["time"]:
         raise InputError("explore: the motion has no samples")
     along = [data.values for data in ds.data_vars.values() if "time" in data.dims and data.dtype.kind == "f"]
@@ -170,11 +156,7 @@ def _motion_document(ds: xr.Dataset) -> Document:
         raise InputError("explore: the motion has values that are not finite")
     run = document.run_document(ds) | {"duration": document.command_seconds(float(ds["time"][-1]))}
     lanes = pack(np.zeros(1, np.int32)) | {"axes": []}
-    return document.document_with(ds, "motion", _numbers(ds), lanes=lanes, run=run, history=_history(ds))
-
-
-def _history(ds: xr.Dataset) -> Document:
-    """Return all variables along time, reduced to the two extremes in each time interval, in order of time."""
+    # All variables along time, reduced to the two extremes in each time interval, in order of time.
     time, data = with_events(ds)
     bins = np.array_split(np.arange(len(time)), min(HISTORY_BINS, len(time)))
     columns: list[Document] = []
@@ -184,7 +166,8 @@ def _history(ds: xr.Dataset) -> Document:
         column = pack(x.values[np.ravel(extremes)].astype(float))
         columns.append({"name": name, "units": units, "long_name": long_name or name, "data": column})
     ends = np.ravel([[time[part[0]], time[part[-1]]] for part in bins])
-    return {"time": pack(ends), "columns": columns, "observed_from": run_of(ds).get("settle")}
+    history = {"time": pack(ends), "columns": columns, "observed_from": run_of(ds).get("settle")}
+    return document.document_with(ds, "motion", _numbers(ds), lanes=lanes, run=run, history=history)
 
 
 def summary_parts(ds: xr.Dataset) -> list[Document]:
@@ -343,6 +326,5 @@ def orbit_cells(ds: xr.Dataset) -> Iterator[Cell]:
 
 
 def _base_point(ds: xr.Dataset) -> Point:
-    """Return the parameter point with the values that all points share."""
     fixed: dict[str, Any] = {**parameters_of(ds), **document.options_of(ds)}
     return read_point(Place("explore"), text_of(ds, "scene"), fixed)

@@ -4,7 +4,7 @@ import base64
 import html
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from importlib.resources import files
 from os import PathLike
@@ -26,8 +26,7 @@ from vibrojax.maps.sweep import Sweep
 if TYPE_CHECKING:
     from vibrojax.explorer.widget import Explorer  # needs anywidget
 
-BLOCK_CELLS = 256
-"""Number of motions per block; the page inflates a block when one of its motions is selected."""
+BLOCK_CELLS = 256  # number of motions per block; the page inflates a block when one of its motions is selected
 
 MODULES = [
     f"{name}.js"
@@ -38,8 +37,7 @@ MODULES = [
 ]
 """The modules behind `mount`, each after those that it imports."""
 
-LIVE_MODULES = ("sliders.js", "computing.js", "live.js")
-"""Further modules of a page whose motions are computed on demand."""
+LIVE_MODULES = ("sliders.js", "computing.js", "live.js")  # for motions on demand
 
 _IMPORT = re.compile(r"^import [^;]*;\n", re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=async |class |const |function\*? |let )", re.MULTILINE)
@@ -152,19 +150,13 @@ def page_contents(
             if live:
                 raise
     has_lanes = motions is not None and motions.sweep is not None
-    blocks = [] if has_lanes else blocks_of(cells)
+    by_block: dict[int, list[Cell]] = {}
+    for cell in () if has_lanes else cells:
+        by_block.setdefault(cell.lane // BLOCK_CELLS, []).append(cell)
+    blocks = [deflate(encode(by_block.get(index, []))) for index in range(max(by_block, default=-1) + 1)]
     if blocks:
         document["cells"] = {"size": BLOCK_CELLS, "blocks": len(blocks)}
     return ds, document, blocks, motions
-
-
-def blocks_of(cells: Iterable[Cell]) -> list[str]:
-    """Return motions encoded in blocks of consecutive lanes, deflated and in base64; one string per block."""
-    by_block: dict[int, list[Cell]] = {}
-    for cell in cells:
-        by_block.setdefault(cell.lane // BLOCK_CELLS, []).append(cell)
-    last = max(by_block, default=-1)
-    return [deflate(encode(by_block.get(index, []))) for index in range(last + 1)]
 
 
 def page_text(document: Document, blocks: Sequence[str] = ()) -> str:

@@ -254,10 +254,7 @@ def is_geometric(values: Float[np.ndarray, " values"]) -> bool:
 
 
 def edges(values: Float[np.ndarray, " values"]) -> Float[np.ndarray, " values+1"]:
-    """Return the n + 1 edges of the map cells at n > 1 increasing values: midpoints between the values.
-
-    For geometric values, these are midpoints of the logarithms.
-    """
+    """Return the n + 1 edges of the map cells at n > 1 increasing values: midpoints, of logarithms if geometric."""
     if is_geometric(values):
         return np.exp(edges(np.log(values)))
     half = np.diff(values) / 2
@@ -277,9 +274,6 @@ def map_axis(data: xr.DataArray, **about: Any) -> Axis:
 
 
 def margins(ds: xr.Dataset, *notes: str, point: str | None = None) -> dict[str, Any]:
-    """Return the title of a dataset and the note, as fields of a sheet.
-
-    The note begins with `point`, by default the values common to all lanes.
-    """
+    """Return title and note as fields of a sheet; the note begins with `point`, or the values common to all lanes."""
     title = str(ds.attrs.get("title") or ds.attrs.get("scene", ""))
     return {"title": title, "note": ". ".join(filter(None, (point_text(ds) if point is None else point, *notes)))}

@@ -21,11 +21,8 @@ STABLE, UNSTABLE, UNKNOWN = 1, 0, -1
 
 KIND, FAMILY = "special_kind", "family"
 
-CRITICAL = 1e-3
-"""Distance of the largest modulus from 1 up to which a bifurcation changes stability."""
-
-BEGINNINGS = ("period-doubling", "branch-point")
-"""Kinds of special points at which other branches begin."""
+CRITICAL = 1e-3  # distance of the largest modulus from 1 up to which a bifurcation changes stability
+BEGINNINGS = ("period-doubling", "branch-point")  # kinds of special points at which other branches begin
 
 _KIND_PRIORITY = ("fold", "period-doubling", "torus", "branch-point", "hopf", "section", "grazing", "stick", "end")
 """Kinds of special points, ordered by how well they explain a change of stability, for points with several kinds."""
@@ -163,16 +160,13 @@ def runs(segments: Int[np.ndarray, " segments"]) -> Iterator[tuple[int, int, int
             yield first, last, int(segments[first])
 
 
-def _priority(kind: str) -> int:
-    return _KIND_PRIORITY.index(kind if kind in _KIND_PRIORITY else "stick")
-
-
 def stable_intervals(ds: xr.Dataset, branch: Branch) -> list[Interval]:
     """Return the parameter intervals in which a branch is stable."""
     values, names = ds[along_name(ds)].values[branch.points], kind_names(ds)
-    kinds: dict[int, str] = {}
+    ranks, kinds = {kind: k for k, kind in enumerate(_KIND_PRIORITY)}, dict[int, str]()
     for special, point in zip(branch.special.tolist(), places(ds, branch).tolist(), strict=True):
-        kinds[point] = min(kinds.get(point, names[special]), names[special], key=_priority)
+        both = kinds.get(point, names[special]), names[special]
+        kinds[point] = min(both, key=lambda kind: ranks.get(kind, ranks["stick"]))
     # Special points of other branches, at which this one begins or which it crosses.
     begins = [k for k, name in enumerate(names) if name in BEGINNINGS and branch.number]
     for special in begins:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool
 from scipy.ndimage import binary_erosion, minimum_filter
 
 from vibrojax.errors import InputError
@@ -17,9 +16,7 @@ from vibrojax.pictures.maps import cell_layers, maps_of, outline
 from vibrojax.pictures.plots import Layer, Sheet, dots, one_colour, patch
 from vibrojax.pictures.style import IMPACT, NOTHING
 
-SAME_MOTION = 0.02
-"""Relative spread of the impact energy over the starts, up to which their motions count as one."""
-
+SAME_MOTION = 0.02  # relative spread of the impact energy over the starts, up to which their motions count as one
 _BOX = np.ones((3, 3), bool)  # a tolerance of one cell in both parameters
 _OTHER = "#D9D9D9"
 _AIMS = ("rate_of_penetration", "impact_power", "impact_energy")
@@ -46,7 +43,12 @@ def chart(ds: xr.Dataset) -> Sheet:
     if others := [name for name in lane_dims(ds) if name not in (x, y, START)]:
         raise InputError(f"chart: {', '.join(others)} varies as well; fix it, as in --where {others[0]}=VALUE")
     ds = ds.transpose(y, x, ...).sortby([x, y])
-    single = _single(ds)
+    # The cells in which every start leads to the same stable single impact.
+    cells, energy = ds[REGIME] == REGIMES.index("single-impact"), ds["impact_energy"]
+    cells = cells & (ds["stable"] == 1) if "stable" in ds else cells
+    if START in cells.dims:
+        cells = cells.all(START) & (energy.max(START) <= (1 + SAME_MOTION) * energy.min(START))
+    single = np.asarray(cells.values)
     robust = binary_erosion(single, _BOX)
     if single.any():
         around = tuple(slice(max(at.min() - _BEYOND, 0), at.max() + _BEYOND + 1) for at in np.nonzero(single))
@@ -62,8 +64,9 @@ def chart(ds: xr.Dataset) -> Sheet:
         look = {"marker": "*", "size": 12.0, "colour": IMPACT, "edge": "white", "clip": False, "order": 5.0}
         marks.append(dots(*place, label="best robust cell", **look))
     right, top = (axes.edges(axes.values_along(ds[name])) for name in (x, y))
-    tolerance = ", ".join(f"{axes.symbol(ds[name])} ± {_step(ds[name])}" for name in (x, y))
-    marks += outline(robust, right, top, colour=IMPACT, width=1.4, label=f"robust: also within\n{tolerance}")
+    steps = {name: float(np.diff(ds[name].values).min(initial=np.inf)) for name in (x, y)}
+    texts = [f"{axes.symbol(ds[name])} ± {axes.quantity_text(step, ds[name], 2)}" for name, step in steps.items()]
+    marks += outline(robust, right, top, colour=IMPACT, width=1.4, label=f"robust: also within\n{', '.join(texts)}")
     other = one_colour(right, top, ~single, _OTHER)
 
     def layers_of(facet: xr.Dataset, value: Value) -> list[Layer]:
@@ -79,22 +82,6 @@ def chart(ds: xr.Dataset) -> Sheet:
     return replace(
         maps_of(Facets(("",), (worst,)), values, ds[x], ds[y], layers_of), keys=[keys], beside=False, **about
     )
-
-
-def _step(data: xr.DataArray) -> str:
-    """Return the least distance of neighbouring cells along an axis, with its unit."""
-    return axes.quantity_text(float(np.diff(data.values).min(initial=np.inf)), data, 2)
-
-
-def _single(ds: xr.Dataset) -> Bool[np.ndarray, "y x"]:
-    """Return the cells in which every start leads to the same stable single impact."""
-    single, energy = ds[REGIME] == REGIMES.index("single-impact"), ds["impact_energy"]
-    if "stable" in ds:
-        single = single & (ds["stable"] == 1)
-    if START not in single.dims:
-        return np.asarray(single.values)
-    same = energy.max(START) <= (1 + SAME_MOTION) * energy.min(START)
-    return np.asarray((single.all(START) & same).values)
 
 
 def _worst(data: xr.DataArray) -> xr.DataArray:

@@ -1,6 +1,6 @@
 """Colours of regimes, of the formulas of the penetration law, and of quantities (one scale for all panels)."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Literal
@@ -128,20 +128,13 @@ def regime_names(data: xr.DataArray) -> dict[int, str]:
     return dict(enumerate(REGIMES)) | flags(data)
 
 
-def regime_counts(data: Iterable[xr.DataArray]) -> dict[int, int]:
-    """Return the number of lanes of each regime that occurs, by flag."""
-    values = np.concatenate([regime_cells(part).ravel() for part in data])
-    occurring, lanes = np.unique(values[np.isfinite(values)], return_counts=True)
-    return dict(zip(occurring.astype(int).tolist(), lanes.tolist(), strict=True))
-
-
 def regime_keys(data: Sequence[xr.DataArray]) -> list[Key]:
     """Return a legend entry for each regime that occurs, with name and fraction of the lanes."""
-    names = regime_names(data[0])
-    lanes = sum(part.size for part in data)
-    counts = regime_counts(data)
+    names, values = regime_names(data[0]), np.concatenate([regime_cells(part).ravel() for part in data])
+    occurring, counts = np.unique(values[np.isfinite(values)], return_counts=True)
     return [
-        patch(REGIME_COLOURS[flag], f"{names[flag]}  {share_text(n / lanes)} of lanes") for flag, n in counts.items()
+        patch(REGIME_COLOURS[flag], f"{names[flag]}  {share_text(n / values.size)} of lanes")
+        for flag, n in zip(occurring.astype(int).tolist(), counts.tolist(), strict=True)
     ]
 
 

@@ -18,7 +18,6 @@ REGIME, RATE, RELIEF, COEFFICIENT = "regime", "rate_of_penetration", "relief", "
 IMPACTS_OF_RETURNS = "return_impact_velocity"
 _NOT_STATES = ("return_time", "return_interval", "return_impacts", IMPACTS_OF_RETURNS)
 BESIDE_REGIMES = (RATE, "impact_velocity", "period", "bit_amplitude")  # the first two that a dataset has
-
 MOST_LINES = 8  # in one panel, and in the legend
 ENOUGH = 6  # least number of values of an axis to draw along; fewer values are a choice between a few
 _LONG = 9  # number of values of an axis from which one line per value is too many
@@ -145,10 +144,7 @@ def axes_of_map(ds: xr.Dataset, *preferred: str) -> tuple[str, str]:
 
 
 def varied(ds: xr.Dataset, names: bool = False) -> dict[str, int]:
-    """Return the parameters that vary along a list of points, with their numbers of values.
-
-    `names`: include parameters whose values are strings.
-    """
+    """Return the parameters that vary along points, also those of strings if `names`, with their numbers of values."""
     along = {str(name): data for name, data in ds.coords.items() if data.dims == (POINT,) and name != POINT}
     counts = {name: len(set(data.values.tolist())) for name, data in along.items() if names or is_numeric(data)}
     return {name: count for name, count in counts.items() if count > 1}

@@ -224,7 +224,6 @@ def _line_look(layer: plots.Line) -> dict[str, Any]:
 
 
 def _handle(key: plots.Key) -> Artist:
-    """Return an entry of a legend."""
     if isinstance(key, plots.Line):
         return Line2D([], [], label=plain(key.label), **_line_look(key))
     hollow = key.colour == "none"

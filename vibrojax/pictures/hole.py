@@ -72,9 +72,8 @@ def pulses(ds: xr.Dataset) -> Sheet:
 def _last_blows(hole: Run) -> tuple[float, float]:
     """Return a time [s] shortly before the last two blows, and the time between blows.
 
-    With too few blows, the first is the time before the last fifth of the run, and the second is infinite.
-
-    A blow begins where the applied, or else the rock's, force rises through the middle of its range.
+    With too few blows, they are the time before the last fifth of the run, and infinity. A blow begins where the
+    applied, or else the rock's, force rises through the middle of its range.
     """
     force = hole.series.get("applied_force", hole.series.get("rock_force", np.zeros(hole.time.size)))
     above = force > (force.max() + force.min()) / 2

@@ -22,8 +22,7 @@ from vibrojax.pictures.plots import Axis, Plot, Sheet, legend_of
 
 MOST_PANELS = 12
 
-LEGEND_WIDTH = 1.9
-"""The approximate width [inch] of a legend at the right."""
+LEGEND_WIDTH = 1.9  # the approximate width [inch] of a legend at the right
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,7 @@ def _listed(ds: xr.Dataset, name: str, pick: list[int]) -> str:
     return f"{symbol(ds[name])} = {', '.join(texts)} {pretty_unit(unit)}".rstrip()
 
 
-STACK_MARGINS = 0.8
-"""Height [inch] of title, note and axis labels of a sheet, of which `stacked` keeps one."""
+STACK_MARGINS = 0.8  # height [inch] of title, note and axis labels of a sheet, of which `stacked` keeps one
 
 
 def stacked(above: Sheet, below: Sheet) -> Sheet:
@@ -122,9 +120,7 @@ WIDTH: ContextVar[float | None] = ContextVar("WIDTH", default=None)
 """Width [inch] that the user chose for the picture; None if each picture has its own."""
 
 _INCHES = {"mm": 1 / 25.4, "cm": 1 / 2.54, "in": 1.0}
-TALLEST = 235 / 25.4
-"""Greatest height [inch] of a picture whose width the user chose: that of a journal's page."""
-
+TALLEST = 235 / 25.4  # greatest height [inch] of a picture whose width the user chose: that of a journal's page
 _NARROWEST, NARROW, _WIDEST = 1.5, 4.5, 40.0  # [inch]; a narrow picture shows fewer maps
 _LEAST_PANEL, _LEAST_SHARED = 1.3, 1.1  # least width [inch] of a panel with its labels, and with those of its row
 _LEAST_BESIDE = 2.0  # least width [inch] of a panel beside several rows
@@ -134,19 +130,14 @@ _SMALLER = 0.83  # type of a narrow picture, in units of that of others
 _STACKED_MAP = 0.65  # height of maps below each other, in units of their width
 _KEYS_PANEL = 3.6  # width [inch] from which a panel keeps a legend of its own
 _MOST_ACROSS = 6
-LETTERS = 14.5
-"""Characters of small type along an inch."""
-
+LETTERS = 14.5  # characters of small type along an inch
 _MOST_SQUARE = 3.5  # greatest height [inch] of a square panel
 _MAP_ASPECT = 1.2  # height of a narrow map above its label and colour bar, in units of its width with labels
 _LEAST_SHARE, _LOW = 0.75, 0.7  # by which a panel gets lower at most, and height [inch] below which it stays
 
 
 def read_width(width: str | float | int | None) -> float | None:
-    """Return a width in inches, given as text like "85mm" or as a number of millimetres.
-
-    **Raises:** `InputError` if it is neither.
-    """
+    """Return a width in inches, given as text like "85mm" or as a number of millimetres; else raise `InputError`."""
     if width is None:
         return None
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(mm|cm|in)?\s*", str(width))

@@ -76,10 +76,7 @@ def starts_of(ds: xr.Dataset) -> list[Series]:
 
 
 def regime_lines(ds: xr.Dataset, x: str | None = None, note: str = "", values: Sequence[Value] | None = None) -> Sheet:
-    """Draw `values` along `x` above the regimes of each initial condition.
-
-    Defaults: impact velocity and period, along the longest axis.
-    """
+    """Draw `values` (those beside regimes) along `x` (the longest axis) above the regimes of each start."""
     ds = colours.regimes_in(ds)
     values = colours.values_beside(ds) if values is None else values
     x = x or max(contents.axes_to_draw(ds), key=lambda name: ds.sizes[name])
@@ -323,10 +320,7 @@ def row_per_facet(
     keys: Sequence[Sequence[Key]],
     *notes: str,
 ) -> Sheet:
-    """Draw curves over `x`, with a line per value of `by`: a row for each facet, and a column for each of `draws`.
-
-    The functions `draws` return the plot of the lines of a facet.
-    """
+    """Draw lines, one per value of `by`: a row for each facet, and a column for each of `draws`, which return plots."""
     panels, plots = facets(ds, (POINT, x.name, by), NARROW_ROWS if is_narrow() else MOST_ROWS), []
     for row, (title, facet) in enumerate(panels):
         for column, draw in enumerate(draws):
@@ -338,10 +332,7 @@ def row_per_facet(
 
 
 def curves(ds: xr.Dataset, names: Sequence[str], note: str = "") -> Sheet:
-    """Draw variables over the longest axis, one row per facet.
-
-    There is one line per value of another axis or, for a fitted penetration law, one line per formula of the law.
-    """
+    """Draw variables over the longest axis: a row per facet, a line per value of another axis or form of a law."""
     x = longest_axis(ds)
     by = FORM if FORM in ds[names[0]].dims else axis_of_lines(ds, x.name)
     ds = ds.sortby(x.name) if x.is_number else ds

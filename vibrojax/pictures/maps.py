@@ -132,11 +132,7 @@ def map_sheet(ds: xr.Dataset, x: str, y: str, values: Values, *notes: str, over:
 
 
 def regime_grid(ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Sheet:
-    """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top.
-
-    Each value of further axes and each initial condition gets a panel, twelve at most; the figure notes which values
-    are shown.
-    """
+    """Draw the regimes over two axes, with further quantities next to them, and the borders `over` on top."""
     ds = colours.regimes_in(ds)
     x, y = varied(ds) if POINT in lane_dims(ds) else contents.axes_of_map(ds)
     if (x, y) == ("beta", "gamma"):
@@ -149,10 +145,7 @@ def regime_grid(ds: xr.Dataset, over: Sequence[xr.Dataset] = ()) -> Sheet:
 
 
 def rate_grid(ds: xr.Dataset) -> Sheet:
-    """Draw the rate of penetration over two axes, and the quantities that vary.
-
-    Each value of further axes gets a panel, twelve at most; the figure notes which are shown, and constant values.
-    """
+    """Draw the rate of penetration over two axes, and the quantities that vary; a note lists constant ones."""
     ds = contents.rates_in(ds)
     values = colours.values_of_rock(ds)
     if POINT in lane_dims(ds):
@@ -175,10 +168,7 @@ def rate_grid(ds: xr.Dataset) -> Sheet:
 
 
 def cell_layers(facet: xr.Dataset, value: Value, x: str, y: str) -> list[Layer]:
-    """Return the cells of `value` over two axes; lanes without penetration are white.
-
-    On maps of rates, lines separate cells with and without a single impact.
-    """
+    """Return the cells of `value` over two axes; of rates, with white ones of 0 and the border of single impacts."""
     cells = np.asarray(value.of(facet).transpose(y, x).values, float)
     right, top = (axes.edges(axes.values_along(facet[name])) for name in (x, y))
     layers: list[Layer] = [Cells(right, top, cells, value.colour_map, value.norm)]
@@ -202,7 +192,6 @@ def outline(mask: Bool[np.ndarray, "y x"], right: np.ndarray, top: np.ndarray, *
 
 
 def _marks(facet: xr.Dataset, x: str, y: str) -> list[Layer]:
-    """Mark lanes with a hidden motion or sensitive to rounding errors."""
     # Two lines: a longer legend entry would make its panel wider than the others.
     hidden = dots(label="same label, other motion\nfrom another start", size=2.8, edge="white", edge_width=0.4)
     layers: list[Layer] = []
@@ -238,10 +227,7 @@ def point_layers(ds: xr.Dataset, value: Value, x: str, y: str) -> list[Layer]:
 
 
 def split_starts(ds: xr.Dataset) -> Facets:
-    """Return one facet per initial condition of a list of points, or a single facet for many initial conditions.
-
-    The dimension `start`, or the coordinate `start` of the points, names the initial conditions.
-    """
+    """Return a facet for each value of the dimension or coordinate `start` of points, or one for many of them."""
     if contents.many_starts(ds):
         return Facets((f"{ds.sizes[START]} starts together",), (ds,))
     if START not in ds.coords or ds[START].ndim == 0:

@@ -131,8 +131,7 @@ def _both(motion: Run, x_bit: Samples, x_striker: Samples, labels: Sequence[str]
 def _portrait(motion: Run, start: float, x: str, speed: str, label: str) -> Plot:
     """Draw the phase portrait of bit (`x` is x1) or striker (x2), with impacts as dots.
 
-    The transient is faint, the motion after time `start` [s] strong. Sticking is a thick line on the bit's portrait,
-    the contact a vertical line on the striker's.
+    The motion before time `start` [s] is faint. Sticking is a thick line, the contact a vertical one.
     """
     name, symbol, colour = ("bit", "x₁", BIT) if x == "x1" else ("striker", "x₂", STRIKER)
     before, late = motion.between(motion.time[0], start), motion.between(start, np.inf)
@@ -151,11 +150,15 @@ def _portrait(motion: Run, start: float, x: str, speed: str, label: str) -> Plot
 def _spectrum(motion: Run) -> Plot:
     """Draw the amplitude spectra of both displacements, and label the peaks with their frequencies."""
     late = np.linspace((motion.time[0] + motion.time[-1]) / 2, motion.time[-1], max(motion.time.size // 2, 8))
+    window = 1.0 - np.cos(2.0 * np.pi * np.arange(late.size) / late.size)  # of Hann
     named: list[tuple[float, float]] = []
     layers: list[Layer] = []
     end, top, lobe = 0.0, _LEAST_AMPLITUDE, 0.0
     for name, x, colour in (("bit", "x1", BIT), ("striker", "x2", STRIKER)):
-        frequencies, amplitudes = _amplitude_spectrum(np.interp(late, motion.time, 1e3 * motion[x]), late[1] - late[0])
+        signal = np.interp(late, motion.time, 1e3 * motion[x])
+        spectrum = np.fft.rfft(window * (signal - signal.mean()), _PADDED * late.size)
+        frequencies = np.fft.rfftfreq(_PADDED * late.size, late[1] - late[0])
+        amplitudes = 2.0 * np.abs(spectrum) / window.sum()
         maxima = _peaks(amplitudes)
         end = end or (_SPECTRUM_SPAN * float(frequencies[maxima[0]]) if maxima.size else 0.0)
         lobe, top = float(frequencies[_LOBE_BINS]), max(top, float(amplitudes.max()))
@@ -173,14 +176,6 @@ def _spectrum(motion: Run) -> Plot:
     up = Axis("amplitude [mm]", limits=(0.0, 1.25 * top))  # room for the text at the highest peak
     title = "spectrum, second half of the run"
     return Plot([*layers, *texts], Axis("frequency [Hz]", limits=(0.0, end)), up, title, keys="upper right")
-
-
-def _amplitude_spectrum(signal: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies [Hz] and the amplitudes of a signal's sines there, by a Hann window; `step`: of time [s]."""
-    window = 1.0 - np.cos(2.0 * np.pi * np.arange(signal.size) / signal.size)
-    size = _PADDED * signal.size
-    spectrum = np.fft.rfft(window * (signal - signal.mean()), size)
-    return np.fft.rfftfreq(size, step), 2.0 * np.abs(spectrum) / window.sum()
 
 
 def _peaks(amplitudes: np.ndarray) -> np.ndarray:

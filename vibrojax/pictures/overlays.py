@@ -16,8 +16,7 @@ from vibrojax.pictures.contents import IMPACTS_OF_RETURNS, START, is_numeric
 from vibrojax.pictures.plots import FAINT, Dash, Layer, Line, Look, dots
 from vibrojax.pictures.style import DASHED
 
-SAME_DIGITS = 1e-4
-"""Relative difference up to which two values count as equal: about as many digits as a picture prints."""
+SAME_DIGITS = 1e-4  # relative difference of equal values: about as many digits as a picture prints
 
 ON_MAPS = ("borders", "curves")
 """Kinds of datasets that are drawn over a map of regimes."""
@@ -120,12 +119,6 @@ def over_layers(layers: Sequence[xr.Dataset], facet: xr.Dataset, x: str, name: s
             lines = [branch for branch in branches.branches(over) if branch.family in fitting]
             shown += branches.family_layers(over, lines, name, factor=factor, within=within)
     return shown
-
-
-def special_points(over: xr.Dataset) -> list[tuple[str, float]]:
-    """Return kind and parameter value of each special point of families, except points of kind "end"."""
-    points = zip(branches.kind_names(over), over["special_value"].values.tolist(), strict=True)
-    return [point for point in points if point[0] != "end"]
 
 
 def over_text(ds: xr.Dataset, layers: Sequence[xr.Dataset], shown: str) -> str:

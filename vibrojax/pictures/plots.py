@@ -19,11 +19,8 @@ FAINT = "#9A9A9A"
 Dash = str | tuple[float, tuple[float, ...]]
 """Style of a line as in matplotlib: "-", "--", ":", offset and lengths of the dashes, or "" for no line."""
 
-Places = np.ndarray | Sequence[Any]
-"""Numbers along an axis."""
-
-Look = dict[str, Any]
-"""Fields of a layer by name."""
+Places = np.ndarray | Sequence[Any]  # numbers along an axis
+Look = dict[str, Any]  # fields of a layer by name
 
 _ROUNDING = 1e-6  # relative range up to which values count as equal
 _MARGIN = 0.05  # free fraction of an axis at each end of the data
@@ -134,8 +131,7 @@ def one_colour(x: Places, y: Places, mask: Bool[np.ndarray, "y x"], colour: str,
     return Cells(x, y, np.where(mask, 0.0, np.nan), shown, colors.Normalize(0.0, 1.0), hatched=False, **look)
 
 
-Key = Line | Area
-"""An entry of a legend."""
+Key = Line | Area  # an entry of a legend
 
 Layer = Line | Points | Bars | Area | Cells | Text
 

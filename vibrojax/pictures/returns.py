@@ -13,6 +13,7 @@ from vibrojax.io.attributes import run_of
 from vibrojax.measures.labels import COMPARED, FAILED, SAME_WITHIN, UNDECIDED
 from vibrojax.pictures import contents, overlays
 from vibrojax.pictures.axes import broken, number, pretty_unit, scale, values_along, with_unit
+from vibrojax.pictures.branches import kind_names
 from vibrojax.pictures.colours import Value, regime_cells, regimes_in, values_beside
 from vibrojax.pictures.contents import DIRECTION, IMPACTS_OF_RETURNS, REGIME, RETURN, START
 from vibrojax.pictures.lines import Lanes, dot_size, lane_dots, motion_keys, stacks, starts_of, value_plots
@@ -31,15 +32,10 @@ _LETTERS = 26  # that fit along the label of a diagram
 def bifurcation(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Sheet:
     """Draw `variable` at each stored section crossing over the swept axis, one diagram per initial condition.
 
-    The default is the impact velocity. It is the first state without impacts, or if some motions of a `vj.System`
-    repeat without them.
-
-    The crossings of all other initial conditions are grey: two motions coexist where coloured and grey dots differ.
-    Many initial conditions share one diagram, coloured by regime. Panels below show the regimes along the axis: one row
-    per initial condition, or the fractions of many. The swept axis is the one with the most values; further axes become
-    panels.
-
-    Families of orbits along the swept axis, `over`, are drawn over the crossings that have the same parameters.
+    The default is that of `contents.returns_in`. The crossings of all other initial conditions are grey: two motions
+    coexist where coloured and grey dots differ. Many initial conditions share one diagram, coloured by regime. The
+    swept axis is the one with the most values; further axes become panels. Families along it, `over`, are drawn over
+    the crossings that have the same parameters.
 
     **Raises:** `InputError` if no crossings are stored, nothing is swept, or `over` does not match the dataset.
     """
@@ -102,11 +98,9 @@ def _return_plots(facet: xr.Dataset, shown: str, x: str, layers: Sequence[xr.Dat
 def hysteresis(ds: xr.Dataset, over: Overlays = None, variable: str | None = None) -> Sheet:
     """Draw lanes carried up and down along an axis, with the jumps of both directions, above the regimes of each.
 
-    The curves are `variable` at each section crossing if these were stored, else impact velocity and period. The
-    default is that of `bifurcation`. A jump is a place where the two directions begin or cease to differ.
-
-    **Arguments:** `over`: families of orbits along the axis, drawn over the lanes. The note lists the special point
-    nearest to each jump, except special points of the kind "end".
+    The curves are `variable` at each section crossing if these were stored, else impact velocity and period; families
+    along the axis, `over`, are drawn over them. A jump is a place where the two directions begin or cease to differ.
+    The note lists the special point nearest to each, except those of kind "end".
     """
     along = str(run_of(ds).get("carry"))
     if along not in ds.dims:
@@ -168,13 +162,11 @@ def jumps(ds: xr.Dataset, along: str) -> tuple[Places, Places]:
 
 
 def _jumps_text(ds: xr.Dataset, along: str, layers: Sequence[xr.Dataset]) -> str:
-    """Return the values between which each direction jumps, and the nearest special point of the families, as a string.
-
-    The string is empty without families, or if another axis varies.
-    """
+    """Return where each direction jumps, and the nearest special points; "" without families, or over several axes."""
     if not layers or set(ds[REGIME].dims) != {along, START}:
         return ""
-    special = [point for over in layers for point in overlays.special_points(over)]
+    points = [zip(kind_names(over), over["special_value"].values.tolist(), strict=True) for over in layers]
+    special = [(kind, value) for some in points for kind, value in some if kind != "end"]
     values, (factor, unit) = np.asarray(ds[along].values), scale(ds[along])
     texts = []
     for way, places in zip(starts_of(ds), jumps(ds, along), strict=True):

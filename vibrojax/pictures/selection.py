@@ -20,9 +20,7 @@ from vibrojax.pictures.contents import FORM, is_numeric, lane_dims, named_groups
 
 Value = float | int | str
 
-MOST_LANES = 300_000
-"""The greatest number of lanes in a picture: more take minutes and show nothing new."""
-
+MOST_LANES = 300_000  # the greatest number of lanes in a picture: more take minutes and show nothing new
 _DIGITS = 1e-4  # relative tolerance: about as many digits as a picture prints
 _LISTED_VALUES, _LISTED_NAMES = 12, 5
 

@@ -14,12 +14,8 @@ from vibrojax.pictures.lines import regime_lines
 from vibrojax.pictures.maps import map_sheet, point_layers, regime_dots
 from vibrojax.pictures.plots import Plot, Sheet
 
-PREFIX = "start_"
-"""Name prefix of a coordinate that holds an initial state."""
-
-SHARE = "share_"
-"""Name prefix of a variable that holds the fraction of a regime."""
-
+PREFIX = "start_"  # name prefix of a coordinate that holds an initial state
+SHARE = "share_"  # name prefix of a variable that holds the fraction of a regime
 _MOST_SHARES = 5  # number of fractions drawn as maps if there is a single facet
 _SAME_STATE = 1e-9  # fraction of a state's range within which two initial values count as equal
 SYMBOLS = {"x1": "x₁", "v1": "x₁′", "x2": "x₂", "v2": "x₂′", "x3": "x₃", "v3": "x₃′", "x4": "x₄"}
@@ -122,7 +118,6 @@ def _is_line(ds: xr.Dataset, states: Sequence[str]) -> bool:
 
 
 def _relative(values: np.ndarray) -> np.ndarray:
-    """Scale the values linearly to the range from 0 to 1."""
     return (values - values.min()) / (np.ptp(values) or 1.0)
 
 
@@ -133,7 +128,6 @@ def _steps(data: xr.DataArray) -> Steps:
 
 
 def _about(data: xr.DataArray) -> dict[str, str]:
-    """Return the axis-label attributes of an initial state."""
     name = str(data.name).removeprefix(PREFIX)
     symbol = f"{SYMBOLS.get(name, name)}(0)"
     return {"units": str(data.attrs.get("units", "1")), "long_name": "start", "symbol": symbol}
@@ -174,10 +168,7 @@ def many_starts(ds: xr.Dataset, values: Sequence[Value] | None = None) -> Sheet:
 
 
 def _over_two(ds: xr.Dataset, x: str, y: str, values: Sequence[Value] | None) -> Sheet:
-    """Draw the medians of `values` over two parameters, or the fraction of initial conditions in each regime.
-
-    The first fractions get a map each; a note lists the other regimes.
-    """
+    """Draw the medians of `values` over two parameters, or the shares of the first regimes; a note lists the others."""
     if values is not None:
         names = [value.name for value in values if not value.counted]
         return map_sheet(medians(ds, names), x, y, values, medians_text(ds))

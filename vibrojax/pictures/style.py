@@ -35,8 +35,7 @@ ROCK_COLOURS = {"sandstone": "#D9A441", "limestone": "#3F8FA3", "granite": "#7A2
 
 DASHED: Dash = (0.0, (4.0, 3.0))
 _NESTED_LINES = 4  # number of coinciding lines whose dashes are at different places
-VIRIDIS_RANGE = (0.0, 0.87)
-"""The part of the colour map that lines use; its yellow end is hardly visible on white."""
+VIRIDIS_RANGE = (0.0, 0.87)  # the part of the colour map that lines use; its yellow end is hardly visible on white
 
 SAVED_DPI = 160.0
 _STYLE = Path(__file__).with_name("pictures.mplstyle")

@@ -173,13 +173,7 @@ _MOST_VARIABLES, _MOST_HISTORIES = 4, 8  # more do not fit in one figure
 
 
 def _draw_variables(ds: xr.Dataset, names: Sequence[str]) -> Sheet:
-    """Draw the variables `names`, each in separate panels.
-
-    Lanes over two axes are drawn as maps, over one axis as curves, and a list of points over two parameters as dots. A
-    run is drawn as time histories, and families as lines along their branches. Of multipliers, only the largest is
-    drawn; of too many initial conditions, the median.
-
-    **Arguments:** `names`: up to four variables along all lane dimensions; for a run, up to eight variables along time.
+    """Draw variables of lanes, a run or families: of multipliers the largest, of too many starts the median.
 
     **Raises:** `InputError` if there is no such variable, it has other dimensions, or there are too many names.
     """

@@ -11,7 +11,7 @@ from vibrojax.measures.labels import FAILED, UNDECIDED
 from vibrojax.pictures.axes import scale, value_text, with_unit
 from vibrojax.pictures.chart import chart
 from vibrojax.pictures.contents import FORM, POINT, RATE, REGIME, RELIEF, START, lane_dims, rates_in, without_single
-from vibrojax.pictures.lines import Across, Series, axis_of_lines, line_keys, longest_axis, row_per_facet
+from vibrojax.pictures.lines import Series, axis_of_lines, line_keys, longest_axis, row_per_facet
 from vibrojax.pictures.plots import FAINT, Area, Axis, Key, Layer, Line, Look, Picture, Plot, Sheet, Text, dots, key
 from vibrojax.pictures.style import BIT
 from vibrojax.studies.sweep import frequencies
@@ -111,7 +111,10 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
     ds = rates_in(_on_a_grid(ds, "rate-over-force"))
     if not {_FORCE, RELIEF} <= set(ds.data_vars):
         raise InputError(f"rate-over-force: the dataset holds no {_FORCE}; give a sweep of a scene with rock")
-    x = _force_axis(ds)
+    # The axis `force` if it is swept, else the longest one.
+    x = longest_axis(ds.isel({name: 0 for name in lane_dims(ds) if name != "force"}) if "force" in ds.dims else ds)
+    if not x.is_number:
+        raise InputError("rate-over-force: no number varies in the dataset; sweep the force, or what changes it")
     # Only this diagram needs the fits, which import SciPy's optimizers.
     from vibrojax.studies.rop_forms import FORMS
     from vibrojax.studies.rop_law import fit_rop
@@ -182,14 +185,6 @@ def _on_a_grid(ds: xr.Dataset, diagram: str) -> xr.Dataset:
     if not lane_dims(ds) or POINT in lane_dims(ds):
         raise InputError(f"{diagram}: the dataset holds no lanes over a grid; give the dataset of a sweep with one")
     return ds
-
-
-def _force_axis(ds: xr.Dataset) -> Across:
-    """Return the axis `force` if it is swept, else the longest one."""
-    x = longest_axis(ds.isel({name: 0 for name in lane_dims(ds) if name != "force"}) if "force" in ds.dims else ds)
-    if not x.is_number:
-        raise InputError("rate-over-force: no number varies in the dataset; sweep the force, or what changes it")
-    return x
 
 
 def _marks(marker: str) -> Look:
