@@ -338,6 +338,18 @@ def test_friction_and_a_switch_on_one_velocity_hold_one_at_a_time():
     assert events_of(motion, "stick") == pytest.approx([4 + fall], abs=1e-8)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_body_that_one_friction_releases_sticks_to_the_other_at_once(order):
+    """The ground holds a body under a plate with v = 0.1 sin t until the plate reverses at pi, and its friction turns.
+    The ground alone cannot hold the body against both forces. So the body follows the plate, with -0.25 of at most 0.4,
+    and has the plate's speed at 3 pi/2. At t = 0, both frictions could hold it."""
+    ground = vj.Friction("ground", lambda t, y, p: y["v"], lambda t, y, p: 1.0, law=0.3, acts_on="v")
+    below = lambda t, y, p: y["v"] - 0.1 * E.sin(t)
+    plate = vj.Friction("plate", below, lambda t, y, p: 1.0, law=0.2, static=0.4, acts_on="v")
+    body = mass(lambda t, y, p: -0.15, *[ground, plate][::order], period=2 * np.pi)
+    assert ends(body, [0.0, 0.0], 1.5 * np.pi) == pytest.approx([-0.1, -0.1], abs=1e-8)
+
+
 @pytest.mark.long
 def test_relay_feedback_with_section_on_the_switch():
     """The relay -sgn(x) with the plant 1/(s + 1)³. The multipliers of its cycle are published."""

@@ -251,11 +251,13 @@ class SystemEquations(Scene[SystemConstants]):
         free = free_modes(self._flow, c, t, y, zero)
         if not self.events:
             return free
-        always, places = jnp.ones_like(zero, bool), Places({}, {}, {})
+        always, places = jnp.ones_like(zero, bool), Places({}, {}, {}, {})
         for index, small in enumerate(self.resolutions(c, free, state, False)[: len(self.events)]):
             distance = jnp.abs(self._flow.surface(c, free, index, t, y) + zero)
             places.open[index], places.near[index] = always, distance <= small
             places.touches[index] = distance <= jnp.maximum(small, c.lifts[index])
+            if self._flow.beside(index):
+                places.again[index] = places.near[index]
         return tuple(decided(self._flow, c, free, t, y, places)[0])
 
     def on_surfaces(self, c: SystemConstants, mode: Values, state: Values) -> Values:

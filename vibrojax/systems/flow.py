@@ -110,6 +110,14 @@ class Flow:
         """Return the events of a kind, with their indices."""
         return [(index, event) for index, event in enumerate(self.events) if isinstance(event, kind)]
 
+    def beside(self, index: int) -> list[int]:
+        """Return the frictions and switches whose forces decide whether a friction or a switch can hold a motion."""
+        if isinstance(self.events[index], Impact):
+            return []
+        coupled, parallel = self.structure.coupled, self.structure.parallel[index]
+        acting = [other for other in range(len(self.events)) if (index, other) in coupled or other in parallel]
+        return [other for other in acting if other != index and not isinstance(self.events[other], Impact)]
+
     def combinations(self) -> list[tuple[float, ...]]:
         """Return all combinations of the sides of the switches."""
         return list(itertools.product((-1.0, 1.0), repeat=len(self.of(Switch))))

@@ -30,11 +30,14 @@ class Places(NamedTuple):
 
     - `open`: the mode of the event is to be determined. - `near`: the state is on the event's surface.
     - `touches`: for stops, the state is within the distance in which a long rest drifts.
+    - `again`: for frictions and switches, the state is on the surface, where another of them may have begun or ended to
+      hold it at the same instant.
     """
 
     open: dict[int, Any]
     near: dict[int, Any]
     touches: dict[int, Any]
+    again: dict[int, Any]
 
 
 def decided(
@@ -44,22 +47,17 @@ def decided(
 
     `mode`: modes of a motion that is on no surface. The margins and pulls of events that led to the modes follow.
     """
-    modes, held = list(mode), [(i, event) for i, event in enumerate(flow.events) if not isinstance(event, Impact)]
-    margins, pulls = dict[int, Any](), dict[int, Any]()
-    if held:
-        for index, _ in held:
-            holds = places.open[index] & places.near[index]
-            for other in flow.structure.parallel[index]:  # the first of them may hold
-                if other < index and not isinstance(flow.events[other], Impact):
-                    holds = holds & (modes[other] != 0)
-            modes[index] = jnp.where(holds, 0.0, mode[index])
-        motion = flow.at(c, tuple(modes), t, y)
-        for index, event in held:
-            margins[index], pulls[index] = motion.margins[index], motion.pulls[index]
-            stays = margins[index] >= 0 if isinstance(event, Friction) else margins[index] > 0
-            leaves = places.open[index] & (modes[index] == 0) & ~stays
-            modes[index] = jnp.where(leaves, jnp.where(pulls[index] < 0, -2.0, 2.0), modes[index])
-    if len(held) < len(flow.events):
+    on = {index: places.open[index] & near for index, near in places.near.items()}
+    modes, margins, pulls = _held(flow, c, mode, t, y, on)
+    again = {}
+    for index, mask in places.again.items():
+        changed = reduce(jnp.logical_or, [modes[other] != mode[other] for other in flow.beside(index)])
+        again[index] = (mask | on[index]) & (modes[index] != 0) & changed
+        for other in flow.structure.parallel[index]:
+            again[index] = again[index] & (modes[other] != int(isinstance(flow.events[other], Impact)))
+    if again:
+        modes, _, _ = _held(flow, c, tuple(modes), t, y, again)
+    if flow.of(Impact):
         motion = flow.at(c, tuple(modes), t, y)
         for index, event in flow.of(Impact):
             if event.direction is not None:
@@ -71,6 +69,31 @@ def decided(
             rests = places.touches[index] & (jnp.abs(rate) <= c.slow[index]) & pushed
             own = jnp.where(rests, 1.0, jnp.where(places.near[index] & (rate >= -c.slow[index]), -1.0, 0.0))
             modes[index] = jnp.where(places.open[index], own, mode[index])
+    return modes, margins, pulls
+
+
+def _held(
+    flow: Flow, c: SystemConstants, mode: Values, t: Any, y: States, on: Mapping[int, Any]
+) -> tuple[list[Any], dict[int, Any], dict[int, Any]]:
+    """Return the modes with those of frictions and switches on whose surfaces (masks `on`) a state lies.
+
+    The margins and pulls that led to them follow.
+    """
+    modes, held = list(mode), [(i, event) for i, event in enumerate(flow.events) if not isinstance(event, Impact)]
+    margins, pulls = dict[int, Any](), dict[int, Any]()
+    for index, _ in held:
+        holds = on.get(index, jnp.zeros_like(mode[0], bool))
+        for other in flow.structure.parallel[index]:  # the first of them may hold
+            if other < index and not isinstance(flow.events[other], Impact):
+                holds = holds & (modes[other] != 0)
+        modes[index] = jnp.where(holds, 0.0, mode[index])
+    if held:
+        motion = flow.at(c, tuple(modes), t, y)
+    for index, event in held:
+        margins[index], pulls[index] = motion.margins[index], motion.pulls[index]
+        stays = margins[index] >= 0 if isinstance(event, Friction) else margins[index] > 0
+        leaves = on.get(index, False) & (modes[index] == 0) & ~stays
+        modes[index] = jnp.where(leaves, jnp.where(pulls[index] < 0, -2.0, 2.0), modes[index])
     return modes, margins, pulls
 
 
@@ -240,14 +263,21 @@ def _modes_after(
             new[index] = jnp.where(jumped & changed & ~hit[index], jnp.where(value < 0, -side, side), mode[index])
         opened[index] = jumped & changed & ~hit[index]
         near[index] = hit[index] | (distance <= NEAR_ROUNDINGS / LIFT_ROUNDINGS * lift)
-    blocked = {}
+    blocked, again = {}, {}
     for index, event in enumerate(flow.events):
         if not isinstance(event, Impact):
             parallel = flow.structure.parallel[index]
             holds = [mode[other] == int(isinstance(flow.events[other], Impact)) for other in parallel]
             blocked[index] = (mode[index] != 0) & reduce(jnp.logical_or, holds) if holds else never
             near[index] = near[index] & ~blocked[index]
-    places = Places({index: opened.get(index, never) | hit[index] for index in range(len(hit))}, near, touches)
+            if beside := flow.beside(index):
+                # A motion that has left the surface along a tangent meets it at the offset of the departure.
+                distance = jnp.abs(flow.surface(c, after, index, t, y))
+                on = (mode[index] != 0) & (distance <= 2.0 * c.lifts[index])
+                again[index] = on & reduce(jnp.logical_or, [hit[other] for other in beside])
+    to_decide = {index: opened.get(index, never) | hit[index] for index in range(len(hit))}
+    places = Places(to_decide, near, touches, again)
+    opened |= {index: opened.get(index, never) | mask for index, mask in again.items()}
     modes, margins, pulls = decided(flow, c, tuple(new), t, y, places)
     for index, event in enumerate(flow.events):
         where = mode[index]
