@@ -322,7 +322,9 @@ class _ActiveBranches:
         corner = (taken <= CORNER) & (turn <= CORNER_TURN) | (taken <= CROSSING) & (turn <= CROSSING_TURN)
         sound = np.isfinite(now.tangent).all(axis=1)
         sound &= (turn <= SHARP_TURN) | (taken < 10 * SHORTEST_STEP) | changed & corner
-        sound &= changed | (taken < CROSSING) | (_aside(last, now) <= np.maximum(ASIDE, 2 * turn))
+        forwards = np.maximum(*(np.einsum("ij,ij->i", now.u - last.u, end.tangent) for end in (last, now)))
+        aside = np.arccos(np.clip(forwards / taken, -1, 1))
+        sound &= changed | (taken < CROSSING) | (aside <= np.maximum(ASIDE, 2 * turn))
         value = problem.values(now.family, now.u)[:, -1]
         beyond = (value > problem.last[now.family, -1]) | (value < problem.first[now.family, -1])
         sound &= ~(beyond & np.isnan(self._bound[lanes])) & ~((now.swing < LEAST_SWING) & self._shrinks(now))
@@ -370,10 +372,3 @@ class _ActiveBranches:
         self.status[kept[self._shrinks(now)]] = VANISHED
         self.predict(kept)
         return sound
-
-
-def _aside(last: Points, now: Points) -> PerLane:
-    """Return the smaller angle [rad] between steps and the tangents at their ends."""
-    chord = now.u - last.u
-    along = np.maximum(*(np.einsum("ij,ij->i", chord, end.tangent) for end in (last, now)))
-    return np.arccos(np.clip(along / np.linalg.norm(chord, axis=1), -1, 1))

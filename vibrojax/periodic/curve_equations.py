@@ -69,12 +69,13 @@ class CurveProblem(Problem):
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         on_event, at_rest = np.isin(self.kinds[family], EVENTS), self.kinds[family] == "hopf"
         parts, order = [], []
-        ways = (~on_event & ~at_rest, self._smooth), (on_event, self._on_event), (at_rest, self._at_rest)
-        for mask, evaluated in ways:
-            lanes = np.flatnonzero(mask)
-            if len(lanes):
-                parts.append(evaluated(family[lanes], u[lanes]))
-                order.append(lanes)
+        for mask, evaluated in ((~on_event & ~at_rest, self._smooth), (on_event, self._on_event)):
+            if mask.any():
+                parts.append(evaluated(family[mask], u[mask]))
+                order.append(np.flatnonzero(mask))
+        for lane in np.flatnonzero(at_rest):
+            parts.append(self._equilibrium(family[[lane]], u[[lane]]))
+            order.append(np.array([lane]))
         return Points.join(parts).of(np.argsort(np.concatenate(order)))
 
     def margins(self, curve: Index, u: Unknowns, chosen: np.ndarray) -> Float[np.ndarray, "lanes cycles"]:
@@ -150,10 +151,6 @@ class CurveProblem(Problem):
             if len(lanes):
                 value[lanes], row[lanes] = condition(curve[lanes], u[lanes], jacobian[lanes])
         return self._with_condition(points, value, row)
-
-    def _at_rest(self, curve: Index, u: Unknowns) -> Points:
-        """Return the points of Hopf curves, which are equilibria."""
-        return Points.join([self._equilibrium(curve[[k]], u[[k]]) for k in range(len(u))])
 
     def _equilibrium(self, curve: Index, u: Unknowns) -> Points:
         number, rows, modes = int(curve[0]), self.rows, max(len(self.scene.modes), 1)

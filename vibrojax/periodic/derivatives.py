@@ -121,11 +121,10 @@ def differentiated(
     by = by or [*parameters][:1]
     varied = Variations.of(scene.driving_part(), by, parameters, states, scales)
     moduli, by_modulus, alike, neutral = _moduli(varied, scales)
-    recorded = [name for name in of if name not in (MARGIN, STABILITY) and not name.startswith(MODULUS)]
     table: Features = {}
     tangents: Features = {}
     whole = np.ones(len(states), bool)
-    if recorded:
+    if any(name not in (MARGIN, STABILITY) and not name.startswith(MODULUS) for name in of):
         table, tangents, whole = _measured(scene, by, parameters, states, steps, varied)
     for k in range(moduli.shape[1]):
         table[f"{MODULUS}{k}"], tangents[f"{MODULUS}{k}"] = moduli[:, k], by_modulus[:, k]
@@ -137,7 +136,8 @@ def differentiated(
     kind = varied.margin[number, first].argmin(axis=1)
     table[MARGIN], tangents[MARGIN] = least.min(axis=1), varied.d_margin[number, first, kind]
     switching, grazing = (varied.margin.min(axis=1) < NEAR_EVENT).T
-    shape = (len(states), len(of))
+    shape, none = (len(states), len(of)), np.zeros(len(states), bool)
+    multiplier = {STABILITY: 0} | {f"{MODULUS}{k}": k for k in range(moduli.shape[1])}
     values, reasons, derivatives = np.full(shape, np.nan), np.zeros(shape, int), np.full((*shape, count), np.nan)
     for place, name in enumerate(of):
         value, slope = table[name], tangents[name]
@@ -147,7 +147,7 @@ def differentiated(
             "near-grazing": grazing,
             "near-stick": switching,
             "undefined": ~np.isfinite(value),
-            "equal-multipliers": _of_multiplier(name, alike),
+            "equal-multipliers": alike[:, multiplier[name]] if name in multiplier else none,
         }
         reason = np.select([*rules.values()], [*map(DERIVATIVE_REASONS.index, rules)], 0)
         broken = (reason == 0) & ~np.isfinite(slope).all(axis=1)
@@ -155,7 +155,12 @@ def differentiated(
         values[:, place] = np.where(whole, value, np.nan)
         known = whole & ~neutral & np.isfinite(value)
         derivatives[:, place] = np.where(known[:, None], slope, np.nan)[:, :count]
-    trend = _determinant_slopes(chain(varied.jacobian), varied.d_product)
+    # By Jacobi's formula, det(I - A) varies by -det(I - A) tr((I - A)⁻¹ dA).
+    matrix = np.eye(moduli.shape[1]) - chain(varied.jacobian)
+    sound, shape = np.isfinite(matrix).all(axis=(1, 2)), varied.d_product.shape
+    shift = solve(matrix, varied.d_product.reshape(*shape[:2], -1)).reshape(shape)
+    determinant = np.linalg.det(np.where(sound[:, None, None], matrix, 0.0))
+    trend = -determinant[:, None] * np.einsum("lssj->lj", shift)
     return OrbitFeatures(values, derivatives, reasons, varied.d_states[..., :count], trend[:, :count])
 
 
@@ -168,23 +173,6 @@ def _moduli(varied: Variations, scales: Float[np.ndarray, "lanes states"]) -> tu
     by_modulus[is_zero] = moduli[is_zero] = 0.0
     neutral = ~(np.abs(1 - values).min(axis=1) >= NEUTRAL) | ~np.isfinite(varied.d_states).all(axis=(1, 2, 3))
     return moduli, by_modulus, alike, neutral
-
-
-def _determinant_slopes(product: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, "lanes by"]:
-    """Return the derivatives of det(I - A) from those of A, by Jacobi's formula: d tr((I - A)⁻¹ dA) less."""
-    matrix = np.eye(product.shape[1]) - product
-    lanes, rows, _, count = slopes.shape
-    shift = solve(matrix, slopes.reshape(lanes, rows, rows * count)).reshape(slopes.shape)
-    sound = np.isfinite(matrix).all(axis=(1, 2))
-    determinant = np.linalg.det(np.where(sound[:, None, None], matrix, 0.0))
-    return np.asarray(-determinant[:, None] * np.einsum("lssj->lj", shift))
-
-
-def _of_multiplier(name: str, alike: Bool[np.ndarray, "lanes states"]) -> Bool[np.ndarray, " lanes"]:
-    """Return the lanes in which the multiplier that the feature `name` belongs to equals another one."""
-    if name == STABILITY:
-        return alike[:, 0]
-    return alike[:, int(name.removeprefix(MODULUS))] if name.startswith(MODULUS) else np.zeros(len(alike), bool)
 
 
 class _OnOrbit(NamedTuple):

@@ -183,9 +183,7 @@ class EquilibriumLocator(FamilyLocator):
 class EquilibriumContinuation(FamilyContinuation):
     """Continuation of families of equilibria."""
 
-    def __init__(self, problem: EquilibriumProblem) -> None:
-        super().__init__(problem, cycles=1)
-        self._locator = EquilibriumLocator(problem)
+    locator = EquilibriumLocator
 
     def stop(self, segments: list[Segment]) -> Stop:
         return lambda lanes, now: (np.abs(now.u[:, :-1]).max(axis=1) > LARGEST_STATES) | is_steep(now)

@@ -66,8 +66,10 @@ class FamilyContinuation(Tracing):
     `cycles`: largest number of section crossings per period of doubled branches.
     """
 
+    locator: type[FamilyLocator] = FamilyLocator
+
     def __init__(self, problem: Problem, cycles: int) -> None:
-        super().__init__(problem, FamilyLocator(problem))
+        super().__init__(problem, self.locator(problem))
         self._cycles = cycles
         self._branches: dict[int, int] = {}
         self._crossings: dict[int, list[np.ndarray]] = {}

@@ -278,7 +278,6 @@ def grow(
     tangent: PerState,
     scale: PerState,
     returns: int,
-    steps: Accuracy = TANGENT_ACCURACY,
     kept: int | None = None,
     grows: bool = True,
 ) -> Growth:
@@ -297,7 +296,7 @@ def grow(
     def work(_: object, lanes: np.ndarray) -> Growth:
         p = {name: x[lanes] for name, x in parameters.items()}
         x, dx, size = state[:, lanes], tangent[:, lanes], scale[:, lanes]
-        accuracy = Accuracy(*map(np.float64, steps))
+        accuracy = Accuracy(*map(np.float64, TANGENT_ACCURACY))
         last: deque[np.ndarray] = deque(maxlen=(kept or returns) // RETURNS_PER_CALL)
         with precision("float64"):
             for _ in range(returns // RETURNS_PER_CALL):

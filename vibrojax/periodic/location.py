@@ -9,6 +9,7 @@ section crossings per period.
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import product
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -92,7 +93,11 @@ class Locator:
         in rest.
         """
         changes = end_at_jumps(self.problem, changes)
-        changes = classify_event_changes(self.problem, _touching_end_first(changes))
+        # Where only one end of a bracket has moved to the change, it comes first: the end with fewer events.
+        apart = np.abs(changes.far.u - changes.near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
+        later = apart & (changes.far.margin < changes.near.margin) & ~changes.ends
+        swapped = changes._replace(near=changes.far, far=changes.near)
+        changes = classify_event_changes(self.problem, Brackets.join([changes.of(~later), swapped.of(later)]))
         near, far = changes.near.margin, changes.far.margin
         touches, goes_on = np.minimum(near, far) < GRAZED_MARGIN, np.abs(near - far) <= SAME_MARGIN * near
         grazing, stick = (changes.kind == SPECIAL_KINDS.index(kind) for kind in ("grazing", "stick"))
@@ -153,18 +158,6 @@ class Locator:
         return test
 
 
-def _touching_end_first(changes: Brackets) -> Brackets:
-    """Return located changes of events with `near` at the change, where only one end of the bracket has moved to it.
-
-    That end, the one with fewer events, is the far one if an event vanishes along the branch.
-    """
-    near, far = changes.near, changes.far
-    apart = np.abs(far.u - near.u).max(axis=1, initial=0.0) > ACCEPTED_WITHIN
-    swapped = changes._replace(near=far, far=near)
-    other = apart & (far.margin < near.margin) & ~changes.ends
-    return Brackets.join([changes.of(~other), swapped.of(other)])
-
-
 def classify_event_changes(problem: Problem, brackets: Brackets) -> Brackets:
     """Classify points at which events begin or vanish: impacts, sticks and reversals, or tangencies with the section.
 
@@ -201,6 +194,10 @@ PROBE_DISTANCES = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
 
 PROBED_ORDERS = 2
 """Number of orders of events behind a corner in which orbits are sought."""
+
+BENDS = (0.0, 0.1, 1.0, 10.0)
+"""Relative distances ahead of the tangent behind a corner: the impacts that begin at a graze are as fast as the branch
+is long, and as deep as its square."""
 
 DEPARTURE_DISTANCES = (1e-6, 1e-5, 1e-4, 1e-3)
 """Scaled distances between a corner and the first point beyond it."""
@@ -284,13 +281,13 @@ def _continued(problem: Problem, before: Points, last: Points, other: Points) ->
     same = np.abs(other.period - last.period) < SAME_TIME * last.period
     exchanged = multipliers_jump(last, other)
     same &= (other.signature != before.signature).any(axis=1) | exchanged
-    for distance in DEPARTURE_DISTANCES:
+    for distance, bend in product(DEPARTURE_DISTANCES, BENDS):
         for direction in (null, -null, mirrored):
             subset = np.flatnonzero(~turned & same & sound)
             if not len(subset):
                 break
             t = direction[subset]
-            guess = last.u[subset] + distance * t
+            guess = last.u[subset] + distance * (t + bend * distance * last.tangent[subset])
             now, right = problem.correct(last.family[subset], guess, t, np.einsum("ij,ij->i", t, guess))
             known = (before if direction is mirrored else other).signature[subset]
             right &= (now.signature == known).all(axis=1) != (direction is mirrored)

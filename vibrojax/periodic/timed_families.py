@@ -3,7 +3,7 @@
 A family may shrink through zero amplitude or have an unbounded period. Datasets hold the states at the section.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -130,15 +130,28 @@ def through(
 ) -> tuple[TimedProblem, list[np.ndarray]]:
     """Return the equations without a section, and the unknowns of motions from states `begin` over a `period` [s].
 
-    `values` (orbits,): of the continuation parameter.
+    No distance grows by more than `GROWTH` in a part. `values` (orbits,): of the continuation parameter.
     """
     [along] = problem.along
     known = {name: x[families] for name, x in problem.parameters.items()} | {along: values}
-    parts, size = _mesh(problem, known, begin, period)
-    timed = TimedProblem.of(problem, families, size, period, parts)
-    states = [begin.T]
-    for _ in range(parts - 1):
-        states.append(np.asarray(timed.flow(known, states[-1], period / parts).state))
+    flow, parts = Segments(problem.scene, problem.along, FAMILY_ACCURACY, program=flowed), LEAST_PARTS
+    while True:
+        states, growth = [begin.T], 1.0
+        least, greatest = begin.T.copy(), begin.T.copy()
+        for _ in range(parts):
+            end = flow(known, states[-1], period / parts)
+            states.append(np.asarray(end.state))
+            least, greatest = np.fmin(least, end.least), np.fmax(greatest, end.greatest)
+            swing = (greatest - least) / 2
+            own = np.moveaxis(np.asarray(end.jacobian)[:, : len(swing)], -1, 0)
+            relative = own * swing.T[:, None, :] / np.maximum(swing.T[:, :, None], 1e-300)
+            growth = max(growth, float(np.nan_to_num(np.linalg.norm(relative, ord=2, axis=(1, 2))).max()))
+        if growth <= GROWTH or parts >= MOST_PARTS:
+            break
+        parts *= 2
+    largest = swing.max(axis=0)
+    scales = np.where(swing > 1e-6 * largest, swing, largest).T
+    timed, states = TimedProblem.of(problem, families, scales, period, parts), states[:-1]
     u = timed.timed_unknowns(families, np.stack([x.T for x in states], axis=1), period, values[:, None])
     return timed, list(u)
 
@@ -161,29 +174,6 @@ def returning_orbit(section: Problem, timed: TimedProblem, u: np.ndarray) -> Orb
         if len(found) == RETURNING:
             break
     return found[-1] if found else None
-
-
-def _mesh(problem: Problem, parameters: Mapping[str, PerLane], begin: States, period: PerLane) -> tuple[int, States]:
-    """Return the number of parts in which no distance grows by more than `GROWTH`, and the scales of the states."""
-    flow = Segments(problem.scene, problem.along, FAMILY_ACCURACY, program=flowed)
-    rows = begin.shape[1]
-    parts = LEAST_PARTS
-    while True:
-        state, growth = begin.T, 1.0
-        least, greatest = state.copy(), state.copy()
-        for _ in range(parts):
-            end = flow(parameters, state, period / parts)
-            state = np.asarray(end.state)
-            least, greatest = np.fmin(least, end.least), np.fmax(greatest, end.greatest)
-            swing = (greatest - least) / 2
-            own = np.moveaxis(np.asarray(end.jacobian)[:, :rows], -1, 0)
-            relative = own * swing.T[:, None, :] / np.maximum(swing.T[:, :, None], 1e-300)
-            growth = max(growth, float(np.nan_to_num(np.linalg.norm(relative, ord=2, axis=(1, 2))).max()))
-        if growth <= GROWTH or parts >= MOST_PARTS:
-            break
-        parts *= 2
-    largest = swing.max(axis=0)
-    return parts, np.where(swing > 1e-6 * largest, swing, largest).T
 
 
 def at_section(timed: TimedProblem, problem: Problem, marks: list[Mark]) -> list[Mark]:

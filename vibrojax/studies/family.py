@@ -197,7 +197,7 @@ def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.
             "give states nearer to one (where friction holds a body, none is isolated)"
         )
     problem, first = EquilibriumProblem.through(section, known)
-    segments = EquilibriumContinuation(problem)(np.array([*known]), first)
+    segments = EquilibriumContinuation(problem, cycles=1)(np.array([*known]), first)
     return families_dataset(sweep, problem, *in_order(segments))
 
 
