@@ -199,8 +199,10 @@ def oscillator(stiffness):
 
 def test_dataset_of_an_earlier_definition_is_not_run_with_a_later_one():
     first = vj.run_sweep({"scene": oscillator(1.0), "grid": {"w": [0.9]}}, progress=False)
+    family = vj.follow(oscillator(1.0), along="w", at=0.9, span=(0.85, 0.95), start=[0.0, 0.0], progress=False)
     vj.run_sweep({"scene": oscillator(2.0), "grid": {"w": [0.9]}}, progress=False)
     assert "code.scene has changed since; give the sweep itself" in refusal(vj.orbits, first, progress=False)
+    assert "code.scene has changed since; follow the fam" in refusal(vj.curves, family, by="w", span=(0.85, 0.95))
 
 
 def test_changed_variable_is_refused():
