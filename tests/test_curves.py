@@ -51,12 +51,12 @@ def test_grazing_follows_closed_form():
     a = oscillator_grazes(W, **FIXED)
     forced = a / complex(1 - W**2, 0.1 * W)
     grazing_branch = family("grazing", a, W, (forced.real, -W * forced.imag), (0.15, 0.25))
-    ds = vj.curves(grazing_branch, by="w", span=W_SPAN, at={"w": 0.88}, progress=False)
+    ds = vj.curves(grazing_branch, by="w", span=W_SPAN, at={"w": W}, progress=False)
     curve = points_of_kind(ds, "grazing")
     exact = np.array([oscillator_grazes(float(w), **FIXED) for w in curve.w])
     assert np.abs(curve.a.values - exact).max() < 1e-9
-    assert float(ds.crossing_w[0]) == 0.88
-    assert abs(float(ds.crossing_a[0]) - oscillator_grazes(0.88, **FIXED)) < 1e-10
+    assert float(ds.crossing_w[0]) == W
+    assert abs(float(ds.crossing_a[0]) - oscillator_grazes(W, **FIXED)) < 1e-10
     assert ds.curve_note.values.tolist() == ["the last value of a is reached; the first value of a is reached"]
 
 

@@ -187,7 +187,9 @@ def test_definition_that_has_changed_is_refused():
     stiffness = 1.0
     rate = lambda t, y, p: vj.elementary.cos(0.9 * t) - 0.1 * y["v"] - stiffness * y["x"]
     first, second = (mass(rate if k == 1 else lambda t, y, p: -y["x"], period=2 * np.pi / 0.9) for k in (1, 2))
+    family = vj.follow(first, along="q", at=0.9, span=(0.85, 0.95), start=[0.0, 0.0], progress=False)
     ds, _ = (vj.run_sweep({"scene": own, "grid": {"q": [0.9]}}, progress=False) for own in (first, second))
+    assert "code.scene has changed since; follow the fam" in refusal(vj.curves, family, by="q", span=(0.85, 0.95))
     assert "code.scene has changed since; give the sweep itself" in refusal(vj.orbits, ds, progress=False)
     stiffness = 2.0
     changed = "a value that its functions use has changed since its first run"

@@ -72,6 +72,12 @@ def test_equilibria_have_hopf_and_branch_points(standing):
     assert "holds equilibria" in refusal(vj.curves, standing, by="w", span=(1.0, 2.0), progress=False)
 
 
+def test_hopf_points_are_exact_where_eigenvalues_change_slowly():
+    """Lorenz's equilibria lose their stability at r = 470/19; the residual of 1e-10 alone leaves an error of 2e-7."""
+    family = vj.follow(lorenz("x"), along="r", at=10.0, span=(0.2, 40.0), start=[4.9, 4.9, 0], cycles=0, progress=False)
+    assert [value for _, value in points(family, "hopf")] == pytest.approx([470 / 19] * 2, abs=1e-9)
+
+
 def test_equilibria_turn_back_at_a_fold():
     family = roots(1.0, (-1.0, 2.0), start=0.8, cm=1.0, c2=-1.0)
     assert kinds(family) == {"fold", "end"} and points(family, "fold") == [(0, pytest.approx(0.0, abs=1e-9))]
@@ -300,6 +306,20 @@ def test_orbits_begin_at_the_hopf_points_of_mirrored_equilibria():
     last = circles.m.values == 0.5
     assert sorted(circles.orbit_z.values[last]) == pytest.approx([-(1.5**0.5), 1.5**0.5], abs=1e-8)
     assert "outside the span" in refusal(vj.follow, pair, from_hopf=family, span=(0.2, 0.5), progress=False)
+
+
+def test_orbits_begin_at_a_hopf_point_with_a_function_as_section():
+    """Circles r² = m around 0."""
+
+    def field(t, y, p):
+        growth = p["m"] - y["x"] ** 2 - y["y"] ** 2
+        return {"x": growth * y["x"] - y["y"], "y": growth * y["y"] + y["x"]}
+
+    disc = system("xy", field, parameters={"m": 0.1}, section=lambda t, y, p: y["x"] + y["y"])
+    rest = vj.follow(disc, along="m", at=0.1, span=(-0.2, 0.3), start=[0, 0], cycles=0, progress=False)
+    circles = vj.follow(disc, from_hopf=rest, cycles=1, progress=False)
+    assert circles.m.values.max() == 0.3 and points(circles, "hopf")[0][1] == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(circles.orbit_x**2 + circles.orbit_y**2, circles.m, atol=1e-8)
 
 
 GEAR = mass(

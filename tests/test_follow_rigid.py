@@ -213,12 +213,13 @@ def test_end_at_a_graze_against_friction_is_the_same_from_both_sides(at, states)
 
 def test_branch_of_twice_the_period_ends_where_the_orbit_doubles():
     """A family that begins with one impact in two periods leads to a doubling in closed form, and does not go back."""
-    family = vj.follow(IMPACT_OSCILLATOR, along="r", at=0.7, span=(0.0, 1.0), a=0.5, progress=False, cycles=2)
+    family = vj.follow(IMPACT_OSCILLATOR, along="r", at=0.7, span=(0.0, 1.5), a=0.5, progress=False, cycles=2)
     product = lambda r: np.prod(1 + oscillator_orbits(0.5, r, **OSCILLATOR)[-1].multipliers).real
     doubles = brentq(product, 0.6, 0.62, xtol=1e-15)
     assert special_values(family, "period-doubling") == pytest.approx([doubles], abs=1e-10)
     assert len(special_values(family, "fold")) == len(special_values(family, "grazing")) == 1
     assert special_values(family, "end").tolist() == [1.0]
+    assert "motions beyond are refused: restitution not 0 to 1" in family.special_note.values
 
 
 def test_family_goes_on_where_an_impact_passes_the_section():

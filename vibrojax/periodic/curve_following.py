@@ -93,9 +93,12 @@ def continue_both_ways(
         curve = curves[int(begin.family[0])]
         backwards, forwards = ([s for s in done if (s.family, s.direction) == (curve.number, way)] for way in (-1, 1))
         closed = forwards[-1].note == ENDINGS[CLOSED]
-        reverse = [segment.points.of(slice(None, None, -1)) for segment in backwards[::-1]]
-        onward = [segment.points.of(slice(segment.number == 0 and not closed, None)) for segment in forwards]
-        curve.begin, curve.parts = begin, onward if closed else reverse + onward
+        back = [segment.points.of(slice(None, None, -1)) for segment in backwards[::-1]]
+        reverse = [points._replace(tangent=-points.tangent) for points in back]
+        first, *onward = [segment.points for segment in forwards]
+        if not closed:  # both ways have the first point
+            first = Points.join([reverse.pop(), first.of(slice(1, None))])
+        curve.begin, curve.parts = begin, [first, *onward] if closed else [*reverse, first, *onward]
         curve.notes = list(dict.fromkeys(way[-1].note for way in ([forwards] if closed else [backwards, forwards])))
         curve.marks = sorted(_distinct(curve.marks), key=lambda mark: _place(curve.parts, mark))
 
@@ -275,7 +278,8 @@ def crossings(problem: CurveProblem, points: Points, which: int, value: float) -
         return []
     level, column = value / problem.unit[points.family[0], which], which - 2
     ahead = points.u[:, column] - level
-    places = np.flatnonzero((ahead[:-1] * ahead[1:] < 0) | (ahead[:-1] == 0))
+    ends = np.arange(2, len(ahead) + 1) == len(ahead)
+    places = np.flatnonzero((ahead[:-1] * ahead[1:] < 0) | (ahead[:-1] == 0) | ends & (ahead[1:] == 0))
     if not len(places):
         return []
     near, far = points.u[places], points.u[places + 1]

@@ -75,7 +75,7 @@ class EquilibriumProblem(Problem):
         rate[families] = np.abs(jacobian * own[:, None, :] / own[:, :, None]).max(axis=(1, 2))
         problem = cls(
             scene=scene, along=section.along, parameters=section.parameters, scales=scales, unit=section.unit,
-            first=section.first, last=section.last, rate=rate,
+            first=section.first, last=section.last, refused=section.refused, rate=rate,
         )  # fmt: skip
         return problem, list(problem.unknowns(families, states[:, None], values[:, None]))
 
@@ -102,6 +102,10 @@ class EquilibriumProblem(Problem):
         several = (more > 2) | ((more > 0) & (turning == 0))
         several &= np.linalg.norm(now.u - last.u, axis=1) > SEPARATED
         return super().left_branch(last, now) | several
+
+    def touching(self, points: Points) -> Flags:
+        """Return a mask of all points: with an accepted residual, small changes of eigenvalues are rounding errors."""
+        return np.ones(len(points.u), bool)
 
     def evaluate(self, family: Index, u: Unknowns) -> Points:
         """Evaluate the equations; where a guard is zero, the mode changes, and with it the formula of the field."""

@@ -150,8 +150,9 @@ class FamilyContinuation(Tracing):
             if status == ENDED:
                 value = self._problem.values(segment.points.family[-1:], segment.points.u[-1:])[0, 0]
                 low, high = (bound[segment.family, 0] for bound in (self._problem.first, self._problem.last))
-                is_last = abs(value - high) < abs(value - low)
-                note = f"the {'last' if is_last else 'first'} value is reached"
+                is_last = bool(abs(value - high) < abs(value - low))
+                usual = f"the {'last' if is_last else 'first'} value is reached"
+                note = self._problem.refused.get((segment.family, is_last), usual)
             segment.mark("end", note)
         following += self._pass_stalls(stalled) if stalled else []
         return following + self._doubled_branches(segments) + self._crossing_branches(segments)

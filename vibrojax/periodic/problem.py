@@ -6,7 +6,7 @@ fewer than unknowns (with two parameters, a further equation is added), so solut
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -64,6 +64,23 @@ def check_changes_orbits(place: Place, scene: Scene[Any], name: str) -> None:
         other = f", or use {coupled}, where it does" if coupled in SCENES else ""
         fault = f"{name} does not act on the orbits of scene {shown(scene.name)}"
         raise place.error(f"{fault}: no orbit changes along it; vary it in a sweep{other}")
+
+
+OF_STATES = ("beyond-a-stop", "negative-normal-force", "not-finite")
+"""Faults that depend on the state at which a motion begins."""
+
+
+def refusals(scene: Scene[Any], parameters: Mapping[str, PerLane]) -> list[str]:
+    """Return for each lane why `simulate` refuses its parameters whatever the start, or ""."""
+    count = len(next(iter(parameters.values())))
+    refused, state = scene.refused(parameters), (np.zeros(count),) * len(scene.start_states)
+    faults = [] if refused is None else [refused]
+    faults += [(reason, mask) for reason, _, mask in scene.start_faults(parameters, state)]
+    found = [""] * count
+    for reason, mask in ((reason, mask) for reason, mask in faults if reason not in OF_STATES):
+        for k in np.flatnonzero(np.broadcast_to(np.asarray(mask), count)).tolist():
+            found[k] = found[k] or reason.replace("-", " ")
+    return found
 
 
 class Points(NamedTuple):
@@ -143,6 +160,7 @@ class Problem:
     - `parameters`: the scene's parameters by name, each (families,); the values of `along` are unused.
     - `scales` (families, states): scales of the states.
     - `unit`, `first`, `last` (families, varied parameters): units and bounds of the varied parameters.
+    - `refused`: why motions are refused behind a bound, by number of the family, and True for the last bound.
     - `at_section`: whether an orbit is described by its states at the section.
     - `closes`: whether equal orbits have equal unknowns, so that a branch can be seen to be back where it began.
     - `noun`: word for a solution in notes; `weight`: factor of the scaled states among the unknowns.
@@ -162,6 +180,7 @@ class Problem:
     unit: Float[np.ndarray, "families varied"]
     first: Float[np.ndarray, "families varied"]
     last: Float[np.ndarray, "families varied"]
+    refused: Mapping[tuple[int, bool], str] = field(default_factory=dict)
 
     @cached_property
     def _map(self) -> Segments:

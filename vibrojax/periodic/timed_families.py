@@ -3,11 +3,14 @@
 A family may shrink through zero amplitude or have an unbounded period. Datasets hold the states at the section.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from vibrojax.compile.xla import precision
+from vibrojax.lazy import jnp
 from vibrojax.periodic.arclength import VANISHED, Stop
 from vibrojax.periodic.families import FamilyContinuation
 from vibrojax.periodic.flow_map import flowed
@@ -17,6 +20,7 @@ from vibrojax.periodic.problem import FAMILY_ACCURACY, Flags, Index, PerLane, Po
 from vibrojax.periodic.return_map import Segments
 from vibrojax.periodic.segments import Mark, Segment
 from vibrojax.periodic.timed_problem import TimedProblem
+from vibrojax.scenes import Scene
 
 LONGEST_PERIOD = 1e3
 """Period, relative to that of the first orbit, at which a family ends: it leads to an orbit to an equilibrium."""
@@ -203,31 +207,39 @@ def crossings_of(timed: TimedProblem, points: Points) -> list[tuple[np.ndarray, 
     scene, section = timed.scene, timed.scene.section
     assert section is not None
     names = timed.moving
-    sign, place = (1.0 if section.rising else -1.0), names.index(section.velocity)
+    sign = 1.0 if section.rising else -1.0
     rows = [names.index(name) for name in scene.return_states]
     states, parts = timed.states(points.family, points.u), timed.cycles(points.u)
     period = timed.period(points.family, points.u)
     lanes = len(states)
     parameters = timed.parameters_at(points.family, points.u)
 
-    def flow(lane: np.ndarray, part: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return states and rates (segments, states) of orbits at a time after the beginning of a part."""
+    def flow(lane: np.ndarray, part: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return states of orbits (segments, states), and their heights above the section with the rates of these.
+
+        `time`: from the beginning of a part.
+        """
         p = {name: x[lane] for name, x in parameters.items()}
         end = timed.flow(p, states[lane, part].T, time)
-        return np.asarray(end.state).T, np.asarray(end.jacobian)[:, len(names)].T
+        here = np.asarray(end.state)
+        if section.velocity in names:
+            place = names.index(section.velocity)
+            return here.T, sign * here[place], sign * np.asarray(end.jacobian)[place, len(names)]
+        height, rate = _function_of_section(scene, p, dict(zip(names, here, strict=True)))
+        return here.T, sign * height, sign * rate
 
     lane, part, sample = (x.ravel() for x in np.indices((lanes, parts, SAMPLES)))
     step = period[lane] / (parts * SAMPLES)
-    height = sign * flow(lane, part, sample * step)[0][:, place].reshape(lanes, parts * SAMPLES)
+    height = flow(lane, part, sample * step)[1].reshape(lanes, parts * SAMPLES)
     lane, index = np.nonzero((height < 0) & (np.roll(height, -1, axis=1) >= 0))
     below, above = height[lane, index], np.roll(height, -1, axis=1)[lane, index]
     part, width = index // SAMPLES, period[lane] / (parts * SAMPLES)
     time = (index % SAMPLES + below / (below - above)) * width
     here = np.zeros((len(lane), len(names)))
     for _ in range(REFINEMENTS if len(lane) else 0):
-        here, rate = flow(lane, part, np.maximum(time, 0.0))
+        here, off, rate = flow(lane, part, np.maximum(time, 0.0))
         with np.errstate(all="ignore"):
-            move = -here[:, place] / rate[:, place]
+            move = -off / rate
         time = time + np.where(np.isfinite(move), np.clip(move, -width, width), 0.0)
     at = part * (period[lane] / parts) + time
     result = []
@@ -237,3 +249,18 @@ def crossings_of(timed: TimedProblem, points: Points) -> list[tuple[np.ndarray, 
         times = np.diff(np.append(at[own], at[own[:1]] + period[k]))
         result.append((here[own][:, rows], times))
     return result
+
+
+def _function_of_section(
+    scene: Scene[Any], parameters: Mapping[str, PerLane], states: Mapping[str, PerLane]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a section's function of the moving states, and its rate of change."""
+    assert scene.section is not None
+    place = scene.place(scene.section.velocity)
+    with precision("float64"):
+        none = jnp.zeros_like(next(iter(states.values())))
+        whole = tuple(jnp.asarray(states.get(name, none)) for name in scene.state_names)
+        c = scene.constants({name: jnp.asarray(x) for name, x in parameters.items()})
+        c, mode = scene.scaled(c, whole), scene.mode_at(c, whole)
+        whole = scene.on_surfaces(c, mode, whole)
+        return np.asarray(whole[place]), np.asarray(scene.field(c, mode, whole)[place])

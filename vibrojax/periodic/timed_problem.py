@@ -71,7 +71,7 @@ class TimedProblem(Problem):
         every[families], unit[families] = scales, period
         return cls(
             scene=problem.scene, along=problem.along, parameters=problem.parameters, scales=every, unit=problem.unit,
-            first=problem.first, last=problem.last, period_unit=unit, parts=parts,
+            first=problem.first, last=problem.last, refused=problem.refused, period_unit=unit, parts=parts,
             # In the plane, orbits do not cross.
             impossible=("period-doubling", "torus") if scales.shape[1] == 2 else (),
         )  # fmt: skip

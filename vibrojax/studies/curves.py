@@ -40,7 +40,7 @@ from vibrojax.progress import Progress
 from vibrojax.scenes import Scene
 from vibrojax.settings.names import read_names
 from vibrojax.settings.values import UnusualValue, count, quantity
-from vibrojax.studies.family_data import columns, read_span
+from vibrojax.studies.family_data import check_same_code, columns, read_span
 
 SAME_VALUE = 1e-7
 """Difference of the parameter, relative to its range, up to which special points of one kind on one branch are one."""
@@ -143,6 +143,7 @@ def read_curves(family: object, by: object, span: object, special: object, at: o
     fixed: dict[str, Any] = dict(parameters_of(family))
     options = {name: text_of(family, name) for name in ("friction", "pulse_shape") if name in family.attrs}
     names = read_names(place.at("scene"), text_of(family, "scene"), dict(options), place)
+    check_same_code(place.at("family"), family, names)
     with warnings.catch_warnings():  # `follow` has already warned
         warnings.simplefilter("ignore", UnusualValue)
         read_point(place, names.system, fixed, None)

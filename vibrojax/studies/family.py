@@ -20,7 +20,7 @@ from vibrojax.periodic.flow_map import flowed
 from vibrojax.periodic.hopf import orbit_at_hopf
 from vibrojax.periodic.orbit_stages import why_no_orbit
 from vibrojax.periodic.orbits import Orbits, orbits_of
-from vibrojax.periodic.problem import UNITS_PER_SPAN, Points, Problem, towards
+from vibrojax.periodic.problem import UNITS_PER_SPAN, Points, Problem, refusals, towards
 from vibrojax.periodic.return_map import Segments
 from vibrojax.periodic.segments import Mark
 from vibrojax.periodic.timed_families import TimedContinuation, at_section, free_problem, returning_orbit, through
@@ -39,6 +39,9 @@ GIVEN_DISTANCE = 0.3
 
 REPEATS = 1e-6
 """Distance of states, relative to their swing, within which an orbit repeats; it converged to 1e-9."""
+
+PROBES = 33
+"""Values of the parameter among which the first one is sought at which `simulate` refuses the motion."""
 
 ANOTHER = "the next orbit that Newton's method finds is another one, of period {:.6g} s"
 
@@ -143,6 +146,7 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
         first=low,
         last=high,
     )
+    section = _permitted(section)
     if spec.cycles == 0:
         return _equilibria(spec, section, None)
     if spec.hopf:
@@ -171,6 +175,35 @@ def continue_families(spec: FamilySpec, progress: bool = True) -> xr.Dataset:
     continuation = FamilyContinuation(problem, cycles=spec.cycles)
     segments = continuation(np.array(families), [unknowns[family] for family in families])
     return families_dataset(sweep, problem, *in_order(segments))
+
+
+def _permitted(section: Problem) -> Problem:
+    """Return the equations with their bounds moved to where `simulate` begins to refuse the parameters, if it does.
+
+    **Raises:** `InputError` if it refuses all of the first ones.
+    """
+    [along], scene, first, last = section.along, section.scene, section.first.copy(), section.last.copy()
+    refused: dict[tuple[int, bool], str] = {}
+    begin = refusals(scene, section.parameters)
+    if all(begin):
+        fault = f"the motion at {along} = {section.parameters[along][0]:g} is refused: {begin[0]}"
+        raise Place("follow").at("at").error(fault)
+    for family in (k for k, why in enumerate(begin) if not why):
+        own = {name: x[[family]] for name, x in section.parameters.items()}
+        for is_last, bounds in ((False, first), (True, last)):
+            good, end, why = float(own[along][0]), float(bounds[family, 0]), ""
+            while True:
+                values = np.linspace(good, end, PROBES)
+                every = {name: np.repeat(x, PROBES) for name, x in own.items()} | {along: values}
+                whys = refusals(scene, every)
+                index = next((k for k, x in enumerate(whys) if x), 0)
+                if not index or (good, end) == (values[index - 1], values[index]):
+                    break
+                good, end, why = float(values[index - 1]), float(values[index]), whys[index]
+            if why:
+                bounds[family, 0] = good
+                refused[family, is_last] = f"motions beyond are refused: {why}"
+    return replace(section, first=first, last=last, refused=refused)
 
 
 def _equilibria(spec: FamilySpec, section: Problem, settle: float | None) -> xr.Dataset:

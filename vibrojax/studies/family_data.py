@@ -11,8 +11,9 @@ import numpy as np
 import xarray as xr
 
 from vibrojax.errors import Place, shown
-from vibrojax.io.attributes import parameters_of, text_of
+from vibrojax.io.attributes import parameters_of, table_of, text_of
 from vibrojax.io.dataset import open_dataset
+from vibrojax.io.identity import IDENTITY, changes, identity_text
 from vibrojax.io.kinds import OF_FAMILIES, SPECIAL_KINDS, kind_of
 from vibrojax.io.variables import VARIABLES, Variable, described, orbit_name
 from vibrojax.lanes.labels import measured_besides, of_orbits
@@ -30,6 +31,7 @@ from vibrojax.periodic.segments import Mark
 from vibrojax.physics.meanings import suggest_parameter
 from vibrojax.physics.parameters import FREQUENCIES, REPLACED, ROTATION, positive, resolved
 from vibrojax.scenes import HasImpacts
+from vibrojax.settings.code_identity import code_identity, is_code
 from vibrojax.settings.names import Names, read_names
 from vibrojax.settings.toml import plain
 from vibrojax.settings.values import STATE, count, quantity, warn_if_far
@@ -112,6 +114,8 @@ def family_spec(
             raise place.error(f"{name} is missing")
     fixed = several_and_single(parameters)[1]
     names = read_names(place.at("scene"), scene, dict(fixed), place)
+    if hopf:
+        check_same_code(place.at("from_hopf"), family, names)
     if not isinstance(along, str) or along not in names.parameters:
         instead = suggest_parameter(str(along), names.parameters)
         if along in names.writable:  # rpm, bit_radius or a frequency
@@ -213,6 +217,13 @@ def read_hopf(place: Place, family: object) -> tuple[xr.Dataset, list[HopfPoint]
     if not points:
         raise place.error("the family has no hopf point; follow it further")
     return family, points
+
+
+def check_same_code(place: Place, family: xr.Dataset, names: Names) -> None:
+    """Raise `InputError` if the scene of the user's own to which a family belongs is now defined in another way."""
+    before = {name: x for name, x in table_of(family, IDENTITY).items() if is_code(name) and name != "code.method"}
+    if before and (differing := changes(before, code_identity(names.system, names.options))):
+        raise place.error(f"the scene of the family has changed: {differing}; follow the family again")
 
 
 def family_arguments(place: Place, family: xr.Dataset, scene: object, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -332,6 +343,7 @@ def families_dataset(sweep: Sweep, problem: Problem, points: list[Mark], special
     title = f"Families of {what} of {sweep.scene} over {about.get('symbol', along)}"
     attributes = {
         **shared_attributes(sweep, "family", title, "follow"),
+        **({IDENTITY: identity_text(sweep.identity())} if code_identity(sweep.system, sweep.options) else {}),
         "along": along,
         "span": [float(problem.first[0, 0]), float(problem.last[0, 0])],
         "parameters": json.dumps({name: x for name, x in sweep.parameters.items() if name != along}),
