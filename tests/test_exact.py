@@ -66,9 +66,8 @@ def test_contact_closes_again_when_rock_yields():
     point = {"beta": 0.08, "gamma": 1.9, "v": 2.0, "c0": 1e5, "c2": 50.0, "mu": 1.0, "start": "stuck"}
     rock = {"zeta": 0.1, "threshold": 5e3, "k3": 100e6}
     motion = run("coupled-drilling", observe=0.3, **point, **rock)
-    closings = [event for event in motion.events if event.name == "yields" and event.before.striker == "leaving"]
-    assert closings
-    assert closings[0].after.striker == "touching"
+    [closes, *_] = [event for event in motion.events if event.name == "yields" and event.before.striker == "leaving"]
+    assert closes.after.striker == "touching"
     dataset = vj.simulate("coupled-drilling", duration=0.3, error=1e-6, progress=False, **point, **rock)
     assert differences(motion, dataset)["x2"] < 1e-9
 
@@ -156,9 +155,8 @@ def test_settling_time(features, name="gap"):
     """The last return counts whose state s differs from the next by over 0.01, scaled by the swings between the two."""
     lane = features[name]
     scene, values, start = LANES[name]
-    motion = vj.simulate(
-        scene, **values, start=start, duration=SETTLE + OBSERVE, sampling=1e-4, error=ERROR, progress=False
-    )
+    settings = {"duration": SETTLE + OBSERVE, "sampling": 1e-4, "error": ERROR, "progress": False}
+    motion = vj.simulate(scene, **values, start=start, **settings)
     crossings = events_of(motion, "section")
     t = motion.time.values
     x1, x2, v2 = (np.interp(crossings, t, motion[y].values) for y in ("x1", "x2", "v2"))
@@ -174,15 +172,8 @@ def test_settling_time(features, name="gap"):
     assert_close(lane.settling_time, last, 1e-9)
 
 
-@pytest.mark.parametrize(
-    ("greatest", "trend"),
-    [
-        ([1, 2, 3, 4, 5, 6, 7, 8], 1),
-        ([8, 7, 6, 5, 4, 3, 2, 1], -1),
-        ([1, 2, 3, 4, 4, 6, 7, 8], 0),  # not strictly monotonic
-        ([100, 100.1, 100.2, 100.3, 100.4, 100.5, 100.6, 100.7], 0),  # by less than 1 %
-        ([1, 2, 3, np.nan, 5, 6, 7, 8], 0),  # one eighth has no return
-    ],
-)
-def test_trend_of_eighths(greatest, trend):
-    assert _trend(jnp.array(greatest, float)[:, None])[0] == trend
+def test_trend_of_eighths():
+    """It is 0 if the swings do not rise strictly, or by less than 1 %, or if one eighth has no return."""
+    not_strict, little, none = [1, 2, 3, 4, 4, 6, 7, 8], 100 + 0.1 * np.arange(8), [1, 2, 3, np.nan, 5, 6, 7, 8]
+    lanes = jnp.array([np.arange(1, 9), np.arange(8, 0, -1), not_strict, little, none], float).T
+    assert _trend(lanes).tolist() == [1, -1, 0, 0, 0]
