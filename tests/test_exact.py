@@ -97,9 +97,6 @@ LANES = {
     "in phase": ("rotary", USUAL | {"beta": 0.3, "gamma": 8.0, "v": 0.5, "c2": 75.0}, "drive"),
 }
 
-# Reference case 10, which repeats after two returns, of 15 and 179 ms.
-UNEQUAL = {"beta": 0.856, "gamma": 0.719, "v": 1.497, "delta": -0.0009}
-
 
 @pytest.fixture(scope="module")
 def features():
@@ -140,10 +137,11 @@ def test_every_measure(features, name):
 
 def test_unequal_returns():
     """Means cover whole repeats, and the phase is that of the mean period, wherever in a repeat the observation ends.
-    Each impact counts by its own return, whose duration differs from the mean."""
-    sweep = {"scene": "vibro-impact", "points": {key: [value] for key, value in UNEQUAL.items()}, "starts": ["drive"]}
+    Each impact counts by its own return: here two returns, of 15 and 179 ms, make a repeat."""
+    point = {"beta": 0.856, "gamma": 0.719, "v": 1.497, "delta": -0.0009}
+    sweep = {"scene": "vibro-impact", "points": {key: [value] for key, value in point.items()}, "starts": ["drive"]}
     lane = vj.run_sweep(sweep | {"run": {"observe": 7.0, "error": ERROR}}, progress=False).squeeze()
-    motion = exact.run("vibro-impact", **UNEQUAL, start="drive", settle=40.0, observe=7.0)
+    motion = exact.run("vibro-impact", **point, start="drive", settle=40.0, observe=7.0)
     expected, returns = exact.measure(motion), sections(motion)
     assert lane.cycles == 2 and np.ptp(np.diff(returns)) > 0.02 and len(returns) % 2 == 0  # the last return is left out
     assert_close(lane.period, expected["period"], 1e-7)
