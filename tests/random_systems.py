@@ -46,11 +46,8 @@ def system_of(described: Described) -> vj.System:
         if isinstance(e, Stop):
             if e.velocity is None:
                 new = {name: function(expression) for name, expression in e.reset.items()}
-                return vj.Impact(
-                    e.name,
-                    plain(e.gap),
-                    reset=lambda t, y, p: {name: f(t, y, p) + 0.0 * y[name] for name, f in new.items()},
-                )
+                reset = lambda t, y, p: {name: f(t, y, p) + 0.0 * y[name] for name, f in new.items()}
+                return vj.Impact(e.name, plain(e.gap), reset=reset)
             return vj.Impact(e.name, plain(e.gap), velocity=e.velocity, restitution=lambda p: p[e.restitution])
         if isinstance(e, Rub):
             static = {} if e.static == e.kinetic else {"static": lambda p: p[e.static]}
@@ -61,16 +58,14 @@ def system_of(described: Described) -> vj.System:
     rates = {name: function(expression) for name, expression in described.field.items()}
     with_sides = lambda t, y, p, s: {name: f(t, y, p, s) for name, f in rates.items()}
     without = lambda t, y, p: {name: f(t, y, p) for name, f in rates.items()}
-    period = (
-        {"period": lambda p: 2 * np.pi / p["omega"]} if described.section is None else {"section": described.section}
-    )
+    forced = {"period": lambda p: 2 * np.pi / p["omega"]}
     return vj.System(
         described.name,
         states=dict.fromkeys(described.states, "1"),
         parameters={name: sum(limits) / 2 for name, limits in described.ranges.items()},
         field=with_sides if described.switches else without,
         events=[event(e) for e in described.events],
-        **period,
+        **(forced if described.section is None else {"section": described.section}),
     )
 
 

@@ -45,13 +45,10 @@ def test_shares_count_every_start(attractors):
     starts = attractors.sizes["start"]
     np.testing.assert_allclose(attractors.share.sum("attractor") + attractors.unassigned / starts, 1.0, atol=1e-12)
     np.testing.assert_array_equal((attractors.lane_attractor == -1).sum("start"), attractors.unassigned)
+    share = attractors.share
     for number in attractors.attractor.values:
-        np.testing.assert_allclose(
-            (attractors.lane_attractor == number).mean("start"), attractors.share.sel(attractor=number)
-        )
-    np.testing.assert_allclose(
-        attractors.share_stderr**2, attractors.share * (1 - attractors.share) / starts, atol=1e-15
-    )
+        np.testing.assert_allclose((attractors.lane_attractor == number).mean("start"), share.sel(attractor=number))
+    np.testing.assert_allclose(attractors.share_stderr**2, share * (1 - share) / starts, atol=1e-15)
     assert (np.diff(attractors.share.sum(("beta", "gamma")).values) <= 0).all()
     lines = analysis_of(attractors).summary(attractors)[0].lines
     assert any(f"{int(attractors.unassigned.sum())} of 640 lanes unassigned" in line for line in lines)
@@ -72,15 +69,11 @@ def test_strong_single_impact_and_rattle_are_separated(sweep, attractors):
 
 
 def test_numbers_continue_along_axes(attractors):
-    numbers = {
-        (beta, gamma): present(attractors, beta=beta, gamma=gamma).attractor.values.tolist()
-        for beta in attractors.beta.values
-        for gamma in GAMMA[2:]
-    }
-    assert len(set(map(tuple, numbers.values()))) == 1
+    places = [{"beta": beta, "gamma": gamma} for beta in attractors.beta.values for gamma in GAMMA[2:]]
+    [numbers] = {tuple(present(attractors, **place).attractor.values.tolist()) for place in places}
     # No attractor below the wide gap in the axis continues above it.
     below = set(np.flatnonzero((attractors.share.sel(gamma=GAMMA[:2]) > 0).any(("beta", "gamma"))))
-    assert not below & set(next(iter(numbers.values())))
+    assert not below & set(numbers)
     before, after = present(attractors, beta=0.4, gamma=0.35), present(attractors, beta=0.4, gamma=0.3625)
     assert (int(before.cycles[0]), int(after.cycles[0])) == (2, 4)
     assert before.regime.values[0] == after.regime.values[0] == SUBHARMONIC
@@ -173,22 +166,12 @@ def test_unsuitable_sweep_is_refused():
 
 
 # Irregular attractors: lanes are observed until their statistics converge, then grouped by them
-DRILL = {"scene": "vibro-impact", "parameters": {"delta": 0.005, "v": 1.5}}
-
-
-def starts(count, seed):
-    return {"starts": {"sample": "sobol", "count": count, "seed": seed, "box": BOX}}
-
-
-@pytest.fixture(scope="module")
-def bursting():
-    """Return a sweep of one point whose irregular motion often rests without impacts for longer than an observation."""
-    grid = {"beta": [0.25], "gamma": [0.74]}
-    sweep = DRILL | starts(32, 3) | {"grid": grid, "run": {"settle": 200.0, "observe": 8.0, "orbits": True}}
-    return vj.run_sweep(sweep, progress=False)
-
-
-def test_bursting_motion_is_one_attractor(bursting):
+def test_bursting_motion_is_one_attractor():
+    """The irregular motion at this point often rests without impacts for longer than an observation."""
+    starts = {"sample": "sobol", "count": 32, "seed": 3, "box": BOX}
+    run = {"settle": 200.0, "observe": 8.0, "orbits": True}
+    sweep = SWEEP | {"starts": starts, "grid": {"beta": [0.25], "gamma": [0.74]}, "run": run}
+    bursting = vj.run_sweep(sweep, progress=False)
     lanes = np.flatnonzero(bursting.regime.values.ravel() == IRREGULAR)
     assert lanes.tolist() == [26, 28]
     observed = bursting.period.values.ravel()[lanes]
@@ -230,12 +213,8 @@ BELT_STARTS = {"sample": "sobol", "count": 512, "seed": 1, "box": {"x": [-2.0, 2
 
 def sliding(speeds, count=512):
     """Return the share of starts that end in steady sliding, by speed."""
-    tables = {
-        "scene": BELT_OSCILLATOR,
-        "starts": BELT_STARTS | {"count": count},
-        "grid": {"belt": speeds},
-        "run": {"settle": 400.0, "observe": 60.0},
-    }
+    tables = {"scene": BELT_OSCILLATOR, "starts": BELT_STARTS | {"count": count}, "grid": {"belt": speeds}}
+    tables |= {"run": {"settle": 400.0, "observe": 60.0}}
     return (vj.run_sweep(tables, progress=False).x_amplitude < 0.2).mean("start").values
 
 

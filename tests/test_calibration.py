@@ -34,11 +34,9 @@ def motion():
     return vj.run_sweep(sweep, progress=False)
 
 
-def _runs(motion, noise=0.0, seed=0):
-    rng = np.random.default_rng(seed)
-    return {"v": SPEEDS} | {
-        name: motion[name].values[:, 0] * (1 + noise * rng.standard_normal(len(SPEEDS))) for name in OBSERVED
-    }
+def _runs(motion, noise=0.0):
+    factors = 1 + noise * np.random.default_rng(0).standard_normal((len(OBSERVED), len(SPEEDS)))
+    return {"v": SPEEDS} | {name: motion[name].values[:, 0] * x for name, x in zip(OBSERVED, factors, strict=True)}
 
 
 def _calibrated(data, **settings):
@@ -57,15 +55,14 @@ def test_true_parameters_are_recovered_without_noise(motion):
 def test_period_determines_only_ratio_of_stiffness_and_mass(motion):
     """With friction proportional to m1 g, x1 scales with m1 g/k1 and time with sqrt(m1/k1)."""
     data = {name: _runs(motion, 5e-3)[name] for name in ("v", "period")}
-    fit = _calibrated(data, unknown={"m1": [150.0, 400.0], "k1": [1e5, 2.5e5]})
+    unknown = {"m1": [150.0, 400.0], "k1": [1e5, 2.5e5]}
+    fit = _calibrated(data, unknown=unknown)
     known = fit.direction.values[0]
     assert abs(known[0] + known[1]) < 0.2 and fit.direction_error[0] < 0.02
     assert REASONS[int(fit.reason[0])] == REASONS[int(fit.reason[1])] == "confounded"
     lines = "\n".join(analysis_of(fit).summary(fit)[0].lines)
     assert "the data determine" in lines and "and not the parameters by themselves" in lines
-    prior = _calibrated(
-        data, unknown={"m1": [150.0, 400.0], "k1": [1e5, 2.5e5]}, prior={"m1": [250.0, 5.0]}, error={"period": 1e-3}
-    )
+    prior = _calibrated(data, unknown=unknown, prior={"m1": [250.0, 5.0]}, error={"period": 1e-3})
     assert not prior.reason.any() and float(prior.estimate[0]) == pytest.approx(250, abs=15)
 
 
@@ -92,7 +89,6 @@ def test_units_of_observations(motion):
         _calibrated(runs | {"period": 1e3 * runs["period"]})
     # Columns of a dataset or of a table of arrays may be in any unit.
     read = lambda data: read_calibration({**FIXED, "data": data, "unknown": UNKNOWN})
-    runs = _runs(motion)
     table = {name: xr.DataArray(x, dims="row") for name, x in runs.items()}
     table["period"] = (1e3 * table["period"]).assign_attrs(units="ms")
     expected, *values = (read(data).problem.values for data in (runs, table, xr.Dataset(table)))
@@ -203,12 +199,13 @@ def recorded(scene="rotary", duration=0.5, **parameters):
     return vj.simulate(scene, **settings, **FRICTION | parameters)
 
 
-def from_history(history, scene="rotary", unknown=WIDE, **settings):
-    return vj.calibrate({"scene": scene, "unknown": unknown, "history": history, **settings}, progress=False)
+def from_history(history, **settings):
+    about = {"scene": "rotary", "unknown": WIDE, "history": history}
+    return vj.calibrate(about | settings, progress=False)
 
 
-def is_true(fit, rel=1e-8):
-    return fit.estimate.values == pytest.approx([*FRICTION.values()], rel=rel) and not fit.reason.any()
+def is_true(fit):
+    return fit.estimate.values == pytest.approx([*FRICTION.values()], rel=1e-8) and not fit.reason.any()
 
 
 @pytest.fixture(scope="module")
@@ -250,10 +247,9 @@ def test_derivatives_along_a_history_resolve_changes_that_move_faster_than_the_m
     assert slopes[0, :, 0] == pytest.approx(together + apart / 2, abs=1e-8)
 
 
-@pytest.mark.parametrize(
-    "window", [{"window": [0.0, 0.5], "start": "stuck"}, {"window": [0.5, 1.0]}], ids=["known", "fitted"]
-)
+@pytest.mark.parametrize("window", [{"window": [0.0, 0.5], "start": "stuck"}, {"window": [0.5, 1.0]}], ids=len)
 def test_friction_is_recovered_from_a_velocity(history, window):
+    """The start is known, or fitted."""
     fit = from_history({"data": history[["v1"]], **window})
     assert is_true(fit) and float(fit.nonlinearity) < 0.1
     if "start" not in window:
@@ -284,42 +280,34 @@ def test_histories_of_all_forms_are_read(history, tmp_path):
     lines += [f"{1e3 * t:.9f};x;{1e3 * v:.9f}".replace(".", ",") for t, v in zip(time, v1, strict=True)]
     (tmp_path / "a.csv").write_text("\n".join(lines))
     history.isel(time=slice(100)).to_netcdf(tmp_path / "b.nc")
-    forms = (
-        {"time": time, "v1": v1, "note": ["a"] * 100},
-        pd.DataFrame({"time": time, "v1 (mm/s)": 1e3 * v1}),
-        {"data": tmp_path / "a.csv", "columns": {"time": "t (ms)", "v1": "speed (mm/s)"}},
-        str(tmp_path / "b.nc"),
-    )
-    for form in forms:
+    named = {"data": tmp_path / "a.csv", "columns": {"time": "t (ms)", "v1": "speed (mm/s)"}}
+    table, frame = {"time": time, "v1": v1, "note": ["a"] * 100}, pd.DataFrame({"time": time, "v1 (mm/s)": 1e3 * v1})
+    for form in (table, frame, named, str(tmp_path / "b.nc")):
         spec = read_calibration({"scene": "rotary", "unknown": WIDE, "history": form})
         np.testing.assert_allclose(spec.problem.history.times, time, rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(spec.problem.history.velocity, v1, rtol=1e-8, atol=1e-9)
 
 
 ROWS = {"v": [1.0, 1.5], "period": [0.23, 0.23]}
-REFUSED = [
-    ({"unknown": {}}, "unknown: missing"),
-    ({"data": {"v": [1.0], "perid": [0.2]}}, "column perid: is neither a parameter"),
-    ({"data": {"v": [1.0, 1.5], "period": [-999.25, 0.2]}}, "column period: has 1 negative value, first in row 0"),
-    (
-        {"unknown": {"k1": [1e5, 3e5]}, "error": {"period": 1e-3}, "prior": {"k1": [170.0, 10.0]}},
-        "prior.k1: the mean 170 N/m is outside the bounds, 100000 to 300000 N/m; correct its unit, or widen [unknown]",
-    ),
-    ({}, "2 values for 2 unknown parameters and the size of the noise; add rows"),
-    ({"history": {"data": {"time": [0.0, 1.0]}}}, "v1: missing; columns time [s] and v1 [m/s] are needed"),
-    ({"history": {"data": {"time": [0.0, 2.0, 1.0], "v1": [0.0] * 3}}}, "time: does not rise from sample to sample"),
-    (
-        {"history": {"time": np.arange(0.0, 1000.0, 2.0), "v1": np.zeros(500)}},
-        'more than half a period of the bit (0.251 s); if it is in ms, write "time (ms)"',
-    ),
-]
+PRIOR = {"unknown": {"k1": [1e5, 3e5]}, "error": {"period": 1e-3}, "prior": {"k1": [170.0, 10.0]}}
+IN_MS = {"history": {"time": np.arange(0.0, 1000.0, 2.0), "v1": np.zeros(500)}}
+REFUSED = {
+    "unknown: missing": {"unknown": {}},
+    "column perid: is neither a parameter": {"data": {"v": [1.0], "perid": [0.2]}},
+    "column period: has 1 negative value, first in row 0": {"data": {"v": [1.0, 1.5], "period": [-999.25, 0.2]}},
+    "prior.k1: the mean 170 N/m is outside the bounds, 100000 to 300000 N/m; correct its unit, or widen": PRIOR,
+    "2 values for 2 unknown parameters and the size of the noise; add rows": {},
+    "v1: missing; columns time [s] and v1 [m/s] are needed": {"history": {"data": {"time": [0.0, 1.0]}}},
+    "time: does not rise from sample to sample": {"history": {"data": {"time": [0.0, 2.0, 1.0], "v1": [0.0] * 3}}},
+    'more than half a period of the bit (0.251 s); if it is in ms, write "time (ms)"': IN_MS,
+}
 
 
-@pytest.mark.parametrize(("change", "line"), REFUSED)
-def test_bad_input_is_refused_in_one_line(change, line):
+@pytest.mark.parametrize("line", REFUSED)
+def test_bad_input_is_refused_in_one_line(line):
     of_rows = {**FIXED, "data": ROWS, "unknown": UNKNOWN}
-    settings = {"scene": "rotary", "unknown": WIDE} if "history" in change else of_rows
-    assert line in refusal(read_calibration, settings | change)
+    settings = {"scene": "rotary", "unknown": WIDE} if "history" in REFUSED[line] else of_rows
+    assert line in refusal(read_calibration, settings | REFUSED[line])
 
 
 def test_observed_impact_velocities_are_converted_to_the_unit_of_the_system():

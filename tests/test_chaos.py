@@ -99,14 +99,14 @@ def test_exponents_of_long_periods():
 
 
 def test_natures(lanes_of_each_nature):
-    names = [NATURES[flag] for flag in lanes_of_each_nature.nature.values]
-    assert names == ["chaotic", "quasi-periodic", "periodic", "periodic"]
-    assert lanes_of_each_nature.regime.values[:2].tolist() == [IRREGULAR] * 2
-    assert float(lanes_of_each_nature.lyapunov[0]) > 6 * float(lanes_of_each_nature.lyapunov_stderr[0]) > 0
-    assert abs(float(lanes_of_each_nature.lyapunov[1])) < 3 * float(lanes_of_each_nature.lyapunov_stderr[1]) < 0.03
-    assert (lanes_of_each_nature.lyapunov[2:] < 0).all() and (lanes_of_each_nature.lyapunov_stderr[2:] == 0).all()
-    assert float(lanes_of_each_nature.zero_one[0]) > 0.95 and np.isnan(lanes_of_each_nature.zero_one.values[2:]).all()
-    assert lanes_of_each_nature.lyapunov.attrs["units"] == "1/s"
+    lanes = lanes_of_each_nature
+    exponent, error = lanes.lyapunov, lanes.lyapunov_stderr
+    assert [NATURES[flag] for flag in lanes.nature.values] == ["chaotic", "quasi-periodic", "periodic", "periodic"]
+    assert lanes.regime.values[:2].tolist() == [IRREGULAR] * 2
+    assert float(exponent[0]) > 6 * float(error[0]) > 0
+    assert abs(float(exponent[1])) < 3 * float(error[1]) < 0.03
+    assert (exponent[2:] < 0).all() and (error[2:] == 0).all() and exponent.attrs["units"] == "1/s"
+    assert float(lanes.zero_one[0]) > 0.95 and np.isnan(lanes.zero_one.values[2:]).all()
 
 
 def test_exponents_do_not_require_orbits_or_change_other_variables(lanes_of_each_nature):
@@ -128,17 +128,12 @@ def test_slow_transient_is_labelled_not_settled():
 
 
 def test_exponents_of_sticking_and_refused_lanes():
-    stuck = vj.run_sweep(
-        {"scene": "rotary", "starts": ["stuck"], "grid": {"gamma": [0.7]}, "run": {"lyapunov": True, "orbits": True}},
-        progress=False,
-    ).squeeze()
+    sticking = {"scene": "rotary", "grid": {"gamma": [0.7]}, "run": {"lyapunov": True, "orbits": True}}
+    failing = {"scene": "vibro-impact", "grid": {"k0": [5e7, 1e300]}, "run": {"lyapunov": True, "settle": 5.0}}
+    more = {"starts": ["stuck"], "unusual": True}
+    stuck, failing = (vj.run_sweep(tables | more, progress=False).squeeze() for tables in (sticking, failing))
     assert float(stuck.stick_fraction) > 0.001 and float(stuck.multiplier_abs[-1]) < 1e-12
     assert np.isfinite(float(stuck.lyapunov))
-    failing = vj.run_sweep(
-        {"scene": "vibro-impact", "starts": ["stuck"], "unusual": True, "grid": {"k0": [5e7, 1e300]}}
-        | {"run": {"lyapunov": True, "settle": 5.0}},
-        progress=False,
-    ).squeeze()
     assert np.isnan(float(failing.lyapunov[1])) and int(failing.nature[1]) == NATURES.index("unknown")
 
 

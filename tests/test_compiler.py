@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import vibrojax
 import vibrojax as vj
 from vibrojax.cli import main
 from vibrojax.compile import agreement, native, xla
@@ -71,9 +70,10 @@ SCENES = [
 ]
 
 
-@pytest.mark.parametrize(
-    "scene", [SCENES[0], *(pytest.param(x, marks=pytest.mark.long) for x in SCENES[1:])], ids=lambda x: x.name
-)
+LATER = [pytest.param(scene, marks=pytest.mark.long) for scene in SCENES[1:]]
+
+
+@pytest.mark.parametrize("scene", [SCENES[0], *LATER], ids=lambda x: x.name)
 def test_steps_of_scenes_and_laws_agree_with_xla(scene):
     """Four steps of eight lanes, whose instructions XLA compiles one by one. The law popp-arctan amplifies a change by
     4e-16 of the parameters to 2.5e-9 of the velocity."""
@@ -158,13 +158,9 @@ for name in ("cycles", "period", "bit_amplitude", "drive_power"):
 @pytest.mark.long
 @pytest.mark.parametrize(("precision", "within"), [("float64", "1e-8"), ("float32", "2e-3")])
 def test_features_match_those_of_kernels(precision, within):
-    folder = Path(__file__).parent
-    paths = (str(folder / "benchmarks"), str(Path(vibrojax.__file__).parents[1]))
-    environment = os.environ | {
-        "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
-        "JAX_PLATFORMS": "cpu",
-        "PYTHONPATH": os.pathsep.join(paths),
-    }
+    paths = (str(Path(__file__).parent / "benchmarks"), str(Path(vj.__file__).parents[1]))
+    environment = os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(paths)}
+    environment |= {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
     command = [sys.executable, "-c", SCRIPT, precision, within]
     completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert completed.returncode == 0, completed.stderr[-2000:]

@@ -83,9 +83,7 @@ def test_numbers_of_cells_match_dataset(browser, files, many):
     })"""
     with OpenPage(browser, files["many"]) as opened:
         shown = opened.evaluate(rows, picked)
-        factors = opened.evaluate(
-            "Object.fromEntries([...vibrojax.grid.variables].map(([name, v]) => [name, v.factor]))"
-        )
+        factors = dict(opened.evaluate("[...vibrojax.grid.variables].map(([name, v]) => [name, v.factor])"))
     compared = 0
     for cell, numbers in zip(picked, shown, strict=True):
         assert len(numbers) > 5  # those without a value, and flags that say nothing, have no row
@@ -130,12 +128,10 @@ def test_keyboard_reaches_everything(browser, files):
         page = opened.page
         page.evaluate("document.activeElement.blur()")
         reached: dict[str, int] = {}
+        named = "(e => e.dataset.control || e.className.split(' ')[0] || e.tagName)(document.activeElement)"
         for tab in range(60):
             page.keyboard.press("Tab")
-            name = page.evaluate(
-                "(e => e.dataset.control || e.className.split(' ')[0] || e.tagName)(document.activeElement)"
-            )
-            reached.setdefault(name, tab)
+            reached.setdefault(name := page.evaluate(named), tab)
             assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none" or name == "BODY"
         controls = {"vx-theme", "variable", "x", "y", "at-start", "region", "vx-over", "returns", "vx-copy", "SUMMARY"}
         assert controls <= set(reached), reached
@@ -267,10 +263,8 @@ def test_motion_is_played_compared_zoomed_and_saved(browser, files):
         opened.evaluate("vibrojax.pick({beta: 1, gamma: 2, start: 1})")
         opened.settled()
         row = page.locator(".vx-numbers tr", has=page.locator("[data-name='impact_velocity']")).inner_text()
-        values = [
-            opened.evaluate("c => vibrojax.grid.value('impact_velocity', c)", {"beta": 1, "gamma": g, "start": 1})
-            for g in (1, 2)
-        ]
+        velocity, cells = "c => vibrojax.grid.value('impact_velocity', c)", [{"beta": 1, "gamma": g} for g in (1, 2)]
+        values = [opened.evaluate(velocity, cell | {"start": 1}) for cell in cells]
         numbers = [float(x.replace("\u2212", "-")) for x in re.findall(r"[+\u2212-]?\d+\.\d+", row)]
         assert numbers == pytest.approx([values[1], values[0], values[1] - values[0]], rel=5e-3)
         assert row.endswith(" m/s") and page.get_by_text("difference: this \u2212 pinned").is_visible()
@@ -332,12 +326,9 @@ def test_reduced_motion_steps_and_axe_finds_nothing_serious(browser, files):
             assert opened.evaluate("vibrojax.player.time > 0 && !vibrojax.player.playing")
             opened.evaluate("vibrojax.pins.toggle()")
             opened.evaluate(script)
-            violations = opened.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
-            assert [
-                (violation["id"], violation["nodes"][0]["html"])
-                for violation in violations
-                if violation["impact"] in ("serious", "critical")
-            ] == []
+            found = opened.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+            serious = [violation for violation in found if violation["impact"] in ("serious", "critical")]
+            assert [(violation["id"], violation["nodes"][0]["html"]) for violation in serious] == []
             if width == 390:  # the sheet shows the motion without scrolling
                 assert opened.page.locator(".vx-panels canvas[role=img]").first.bounding_box()["y"] < 900
 
@@ -391,10 +382,8 @@ def test_tracks_of_rig_log_choose_rows(browser, tmp_path):
         track = opened.page.locator(".vx-tracks canvas[role=img]").nth(1)
         x, y = track.evaluate("c => [(c.frame.box.left + c.frame.box.right) / 2, c.frame.y(1502.25)]")
         track.click(position={"x": x, "y": y})
-        ticks = opened.page.locator(".vx-tracks canvas[role=img]").evaluate_all(
-            "all => all.map(c => c.frame.xTicks.length)"
-        )
-        assert min(ticks) >= 3
+        tracks = opened.page.locator(".vx-tracks canvas[role=img]")
+        assert min(tracks.evaluate_all("all => all.map(c => c.frame.xTicks.length)")) >= 3
         assert "depth = 1502.3 m" in title.inner_text() and numbers.inner_text() == "22.25 m/h"
         cloud = opened.page.locator(".vx-plots canvas[role=img]").first
         for key in ("ArrowRight", "End", "Enter"):

@@ -39,10 +39,9 @@ def branch_of(family, number):
 @pytest.mark.parametrize(("case", "kind"), [(ENDS[0], "torus"), (ENDS[1], "fold")])
 def test_ends_of_families(case, kind):
     """The reference is accurate to about 1e-8."""
-    low, high = sorted((case["at"], case["end_value"] + 0.1 * np.sign(case["end_value"] - case["at"])))
-    family = follow_drill(
-        along=case["along"], at=case["at"], span=(low, high), start=case["start"], cycles=1, **case["fixed"]
-    )
+    span = tuple(sorted((case["at"], case["end_value"] + 0.1 * np.sign(case["end_value"] - case["at"]))))
+    begin = {name: case[name] for name in ("along", "at", "start")} | case["fixed"]
+    family = follow_drill(**begin, span=span, cycles=1)
     values = special_values(family, kind)
     assert np.abs(values - case["end_value"]).min() < 3e-9
     index = np.abs(family[case["along"]].values - case["end_value"]).argmin()
@@ -74,13 +73,10 @@ def test_orbits_match_exact_motion(family, gamma):
 
 
 def test_stability_changes_only_at_special_points(family):
-    branch = branch_of(family, 0)
-    changes = np.flatnonzero(np.diff(branch.stable.values))
+    branch, kinds = branch_of(family, 0), ("fold", "period-doubling", "torus", "grazing", "stick")
     assert {0, 1} <= set(branch.stable.values.tolist())
-    bifurcations = np.concatenate(
-        [special_values(family, kind) for kind in ("fold", "period-doubling", "torus", "grazing", "stick")]
-    )
-    for k in changes:
+    bifurcations = np.concatenate([special_values(family, kind) for kind in kinds])
+    for k in np.flatnonzero(np.diff(branch.stable.values)):
         low, high = sorted(branch.gamma.values[k : k + 2])
         assert ((bifurcations >= low - 1e-9) & (bifurcations <= high + 1e-9)).any()
 
@@ -179,12 +175,9 @@ def test_lanes_near_orbits_stay_only_if_orbits_are_stable():
     family = follow_drill(along="gamma", at=0.7325685905, span=(0.3, 1.2), start="drive", cycles=1, **fixed)
     hyperbolic = family.isel(point=np.abs(family.multiplier_abs[:, 0].values - 1) > 0.03)
     count = hyperbolic.sizes["point"]
-    points = {name: [value] * count for name, value in fixed.items()} | {"gamma": hyperbolic.gamma.values.tolist()}
-    points |= {"start_x1": hyperbolic.orbit_x1.values.tolist(), "start_v1": [0.0] * count}
-    points |= {
-        "start_x2": (hyperbolic.orbit_x2.values + 1e-6).tolist(),
-        "start_v2": hyperbolic.orbit_v2.values.tolist(),
-    }
+    points = {name: [value] * count for name, value in fixed.items()} | {"gamma": hyperbolic.gamma.values}
+    points |= {f"start_{name}": hyperbolic[f"orbit_{name}"].values for name in ("x1", "x2", "v2")}
+    points |= {"start_v1": [0.0] * count, "start_x2": points["start_x2"] + 1e-6}
     run = {"settle": 120.0, "end_early": False}
     lanes = vj.run_sweep({"scene": "vibro-impact", "points": points, "run": run, "unusual": True}, progress=False)
     stays = np.abs(lanes.period.values / hyperbolic.period.values - 1) < 1e-6
@@ -256,11 +249,12 @@ def test_family_is_drawn_over_returns_of_sweep(here, capsys):
     assert (here / "returns-over-one.png").exists() and capsys.readouterr().out == "returns-over-one.png\n"
     assert (here / "returns.png").read_bytes() == b"the picture of the sweep"
     vj.write_dataset(vj.run_sweep(sweep | {"parameters": {"beta": 0.5}}, progress=False), "other.nc")
-    assert "the families are of beta = 0.4, the returns of 0.5" in command_refusal(
-        capsys, "plot", "other.nc", "--over", "one.nc"
-    )
-    assert "no such file" in command_refusal(capsys, "plot", "returns.nc", "--over", "no.nc")
-    assert "laid over the returns of a sweep" in command_refusal(capsys, "plot", "one.nc", "--over", "one.nc")
+    for file, over, line in (
+        ("other.nc", "one.nc", "the families are of beta = 0.4, the returns of 0.5"),
+        ("returns.nc", "no.nc", "no such file"),
+        ("one.nc", "one.nc", "laid over the returns of a sweep"),
+    ):
+        assert line in command_refusal(capsys, "plot", file, "--over", over)
 
 
 BASE = {"along": "gamma", "at": "0.45", "from": "0.36", "to": "0.5"}

@@ -43,9 +43,8 @@ def distance_at_other_maximum(a):
     free = complex(u, (decay.real * u - q) / decay.imag)  # Re(free) = u, Re(decay free) = q
 
     def x(t, order=0):
-        return (
-            decay**order * free * np.exp(decay * t) + (1j * w) ** order * forced * np.exp(1j * (w * t + orbit.phase))
-        ).real
+        driven = (1j * w) ** order * forced * np.exp(1j * (w * t + orbit.phase))
+        return (decay**order * free * np.exp(decay * t) + driven).real
 
     t = np.linspace(0.05, 0.95, 400) * 4 * np.pi / w
     rising = x(t, 1) > 0
@@ -83,9 +82,10 @@ def test_rotations_of_a_pendulum_whose_angle_jumps_back():
     assert far.sizes["point"] > 70
 
 
-@pytest.mark.parametrize(
-    ("phase", "last"), [(0.0, 0.005), *(pytest.param(x, 0.008, marks=pytest.mark.long) for x in (0.0, 1.0))]
-)
+LONGER = [pytest.param(phase, 0.008, marks=pytest.mark.long) for phase in (0.0, 1.0)]
+
+
+@pytest.mark.parametrize(("phase", "last"), [(0.0, 0.005), *LONGER])
 def test_fold_and_period_doubling_of_ball_on_shaken_table(phase, last):
     """At the fold the impact has the phase 0, that of the section if `phase` is 0. Upwards, impacts appear one by one.
     After each graze the orbits double and turn back once, so near the branch before that a step could lead there. The
@@ -226,19 +226,14 @@ def test_family_goes_on_where_an_impact_passes_the_section():
     """At r = 0.928 the mass leaves the right wall as the period begins. The symmetric orbit is known in closed form."""
     family = vj.follow(WALLS, along="r", at=0.8, span=(0.8, 0.95), start=[0.0, 0.0], d=0.5, cycles=1, progress=False)
     last = family.isel(point=int(family.r.values.argmax()))
-    (passed,), X, decay, half = (
-        special_values(family, "section"),
-        1 / (0.19 + 0.054j),
-        -0.03 + 1j * 0.9991**0.5,
-        np.pi / 0.9,
-    )
+    [passed] = special_values(family, "section")
+    X, decay, half = 1 / (0.19 + 0.054j), -0.03 + 1j * 0.9991**0.5, np.pi / 0.9
 
     def misses(unknown):
         """From the right wall, half a period leads to the left one, with the speed of the impact before."""
         force, speed = X * np.exp(1j * unknown[0]), unknown[1]
-        free = np.linalg.solve(
-            [[1.0, 0.0], [decay.real, -decay.imag]], [0.5 - force.real, -r * speed + 0.9 * force.imag]
-        )
+        begin = [0.5 - force.real, -r * speed + 0.9 * force.imag]
+        free = np.linalg.solve([[1.0, 0.0], [decay.real, -decay.imag]], begin)
         free = (free[0] + 1j * free[1]) * np.exp(decay * half)
         return free.real - force.real + 0.5, (decay * free).real + 0.9 * force.imag + speed
 
@@ -260,11 +255,9 @@ STICKS_AT_STOP = mass(
 @pytest.mark.parametrize("at", [pytest.param(0.7, marks=pytest.mark.long), 0.3])
 def test_bounce_that_vanishes_with_the_restitution_is_no_graze(at):
     """At small r the mass sticks next to the stop or rests on it; one impact in a period remains, as r = 0 has it."""
-    family = vj.follow(
-        STICKS_AT_STOP, along="r", at=at, span=(0.0, 0.5 + at / 2), start=[0, 0], cycles=1, progress=False
-    )
-    assert set(family.impacts.values) == {1}
-    assert not len(special_values(family, "grazing"))
+    span = (0.0, 0.5 + at / 2)
+    family = vj.follow(STICKS_AT_STOP, along="r", at=at, span=span, start=[0, 0], cycles=1, progress=False)
+    assert set(family.impacts.values) == {1} and not len(special_values(family, "grazing"))
     assert not (special_values(family, "stick") < 0.5).any()
 
 

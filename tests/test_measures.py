@@ -38,14 +38,10 @@ def test_power_and_energy_match_their_definitions(drilling):
 
 def test_wider_hole_takes_less_energy_per_volume():
     """The radius may be given alone, on an axis, or with a rotation. The energy refers to the area of that radius."""
-    shared, values = DRILL | {"starts": ["stuck"]}, {"k1": 625000.0, "delta": 0.0}
-    rotation = {**values, "bit_radius": 0.05, "rpm": 120 / (np.pi * 0.1)}
-    runs = [
-        shared | {"parameters": {**values, "v": 2.0}, "grid": {"bit_radius": [0.05]}},
-        shared | {"parameters": rotation, "grid": {"gamma": [0.75]}},
-    ]
-    for run in runs:
-        ds = vj.run_sweep(run, progress=False).squeeze()
+    rotation = {"bit_radius": 0.05, "rpm": 120 / (np.pi * 0.1)}
+    for more, grid in (({"v": 2.0}, {"bit_radius": [0.05]}), (rotation, {"gamma": [0.75]})):
+        given = {"parameters": {"k1": 625000.0, "delta": 0.0} | more, "grid": grid, "starts": ["stuck"]}
+        ds = vj.run_sweep(DRILL | given, progress=False).squeeze()
         volume = np.pi * 0.05**2 * float(ds.rate_of_penetration)
         assert volume > 0 and float(ds.specific_energy) == pytest.approx(float(ds.impact_power) / volume)
     assert ds.specific_energy.bit_radius == 0.05
@@ -164,19 +160,15 @@ def test_rules_in_order(changes, expected):
 
 
 # Hidden motions: starts that end in different motions with one label
-STARTS = ["drive", "stuck", "touching"]
-
-
 def test_hidden_motion_agrees_with_comparison_of_all_pairs():
     random = np.random.default_rng(0)
     for _ in range(40):
         points, starts, motions = random.integers(1, 6), random.integers(2, 40), random.integers(1, 4)
         lanes, noise = points * starts, 10.0 ** random.uniform(-6, -1.5)
         spread, which = 10.0 ** random.uniform(-4, -1), random.integers(0, motions, lanes)
-        features = {
-            name: (1 + spread * random.normal(size=motions))[which] * (1 + noise * random.normal(size=lanes))
-            for name in COMPARED
-        }
+        own, jitter = (random.normal(size=(len(COMPARED), n)) for n in (motions, lanes))
+        values = (1 + spread * own)[:, which] * (1 + noise * jitter)
+        features = dict(zip(COMPARED, values, strict=True))
         features["impact_velocity"][random.random(lanes) < 0.1] = np.nan
         features["cycles"] = random.integers(0, 3, lanes).astype(float)
         error = 10.0 ** random.uniform(-6, random.uniform(-5.5, -0.5), lanes)
@@ -197,21 +189,16 @@ def _compare_all_pairs(features, regime, starts):
     return hidden
 
 
-@pytest.fixture(scope="module")
-def swept():
-    grid = {"beta": [0.4, 0.5], "gamma": [0.6, 0.9]}
-    tables = {"scene": "vibro-impact", "starts": STARTS, "parameters": {"delta": 0.0}, "grid": grid}
-    return vj.run_sweep(tables, progress=False)
-
-
-def test_three_starts_have_one_label(swept):
+def test_three_starts_have_one_label():
     """A plain map would hide this case: 0.67, 3.03 and 0.67 m/s, all of them single impacts."""
+    grid = {"beta": [0.4, 0.5], "gamma": [0.6, 0.9]}
+    tables = {"scene": "vibro-impact", "starts": ["drive", "stuck", "touching"], "parameters": {"delta": 0.0}}
+    swept = vj.run_sweep(tables | {"grid": grid}, progress=False)
     point = swept.sel(beta=0.4, gamma=0.6)
     assert (point.regime == SINGLE_IMPACT).all()
     np.testing.assert_allclose(point.impact_velocity, [0.67, 3.03, 0.67], atol=0.01)
     assert (point.hidden_motion == 1).all()
-    points = int(swept.hidden_motion.any("start").sum())
+    points = counted(int(swept.hidden_motion.any("start").sum()), "point")
     assert summary_lines(summarise(swept.isel(start=0)))
-    assert f"at {counted(points, 'point')} starts end in different motions under one label" in "\n".join(
-        summary_lines(summarise(swept))
-    )
+    text = "\n".join(summary_lines(summarise(swept)))
+    assert f"at {points} starts end in different motions under one label" in text

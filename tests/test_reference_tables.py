@@ -60,14 +60,6 @@ def test_scenes_command(capsys):
     assert capsys.readouterr().err == 'vibrojax: scenes: "rotry" is unknown; did you mean "rotary"?\n'
 
 
-def warning_text(scene, **parameters):
-    """Return the text of the only warning for a point."""
-    with pytest.warns(vj.UnusualValue) as caught:
-        read_point(Place("simulate"), scene, parameters)
-    assert len(caught) == 1 and "\n" not in str(caught[0].message)
-    return str(caught[0].message)
-
-
 @pytest.mark.parametrize(
     ("scene", "name", "value", "suggestion"),
     [
@@ -79,9 +71,11 @@ def warning_text(scene, **parameters):
     ],
 )
 def test_value_in_wrong_unit_gives_warning(scene, name, value, suggestion):
-    line = warning_text(scene, **{name: value})
+    with pytest.warns(vj.UnusualValue) as caught:
+        read_point(Place("simulate"), scene, {name: value})
+    [line] = [str(each.message) for each in caught]
     assert line.startswith(f"simulate: {name}: ") and "far outside what the source and rigs have" in line
-    assert suggestion in line
+    assert suggestion in line and "\n" not in line
 
 
 def test_defaults_and_limits_of_usual_range_give_no_warning():

@@ -8,6 +8,7 @@ import pint
 import pytest
 import xarray as xr
 from refusals import refusal
+from systems import system
 
 import vibrojax as vj
 from vibrojax.errors import Place
@@ -82,10 +83,6 @@ def test_identity_depends_only_on_what_is_computed():
         assert read_sweep(base | other).identity() != identity
 
 
-# rpm with bit_radius replaces v = 2 pi rpm/60 bit_radius
-SPEED = 2 * pi * 120 / 60 * 0.1
-
-
 # bit_frequency replaces k1 = m1 (2 pi bit_frequency)², striker_frequency gamma = striker_frequency/bit_frequency
 @pytest.mark.parametrize(
     ("parameters", "grid", "k1", "gamma"),
@@ -134,37 +131,30 @@ SPEEDS = {
 }
 
 
-@pytest.mark.parametrize("name", SPEEDS)
-def test_arrays_are_converted_from_the_unit_that_they_state(name):
-    for key in ("grid", "points"):
-        sweep = read_sweep({"scene": "vibro-impact", key: {"v": SPEEDS[name]}})
-        assert (sweep.axes or sweep.points)["v"] == pytest.approx([0.8, 1.2], rel=1e-15)
-        assert f"[{key}]\nv = [0.8, 1.2" in sweep.text
-
-
-def test_datasets_are_converted_from_the_units_that_they_state():
-    """Parameters may be variables or coordinates; other coordinates number the points."""
+def test_values_are_converted_from_the_units_that_they_state():
+    """Parameters may be arrays, or variables or coordinates; other coordinates number the points."""
+    for values in SPEEDS.values():
+        for key in ("grid", "points"):
+            sweep = read_sweep({"scene": "vibro-impact", key: {"v": values}})
+            assert (sweep.axes or sweep.points)["v"] == pytest.approx([0.8, 1.2], rel=1e-15)
+            assert f"[{key}]\nv = [0.8, 1.2" in sweep.text
     table = xr.Dataset({"beta": ("v", [30, 40], {"units": "%"})}, {"v": SPEEDS["mm/s"].values, "row": ("v", [7, 8])})
     table.v.attrs["units"] = "mm/s"
     points = read_sweep({"scene": "vibro-impact", "points": table}).points
     np.testing.assert_allclose([points["v"], points["beta"]], [[0.8, 1.2], [0.3, 0.4]], rtol=1e-15)
     point = read_point(Place("simulate"), "vibro-impact", {"v": table.v[1], "beta": 40 * UNIT.percent})
     assert [point.parameters[name] for name in ("v", "beta")] == pytest.approx([1.2, 0.4], rel=1e-15)
-    sliding = vj.System(
-        "slide", states={"x": "mm"}, parameters={"n": 1.0}, field=lambda t, y, p: {"x": -p["n"] * y["x"]}, section="x"
-    )
+    sliding = system({"x": "mm"}, lambda t, y, p: {"x": -y["x"]}, section="x")
     for starts in ([[2 * UNIT.m]], {"plane": {"x": {"start": 2 * UNIT.m, "stop": 3 * UNIT.m, "num": 2}}}):
         assert read_sweep({"scene": sliding, "starts": starts}).starts[0][0] == 2000.0
     assert read_point(Place("simulate"), sliding, {}, [2 * UNIT.m]).start == (2000.0,)
+    minutes = with_unit(xr.DataArray(3.0), "min")
     for tables, line in (
         ({"grid": {"v": with_unit(xr.DataArray([0.8]), "kN")}}, 'sweep: grid.v: is in "kN"; a unit of m/s is needed'),
         ({"grid": {"v": [1 * UNIT.lightyear]}}, 'sweep: grid.v[0]: is in "ly"; a unit of m/s is needed'),
-        (
-            {"grid": {"v": [1.0]}, "run": {"settle": with_unit(xr.DataArray(3.0), "min")}},
-            'sweep: run.settle: is in "min"; a number in SI units is needed',
-        ),
+        ({"grid": {"v": [1.0]}, "run": {"settle": minutes}}, 'sweep: run.settle: is in "min"; a number in SI units is'),
     ):
-        assert refusal(read_sweep, {"scene": "vibro-impact"} | tables) == line
+        assert refusal(read_sweep, {"scene": "vibro-impact"} | tables).startswith(line)
 
 
 def test_points_file_is_relative_to_sweep_file(tmp_path):

@@ -72,20 +72,13 @@ def test_clearances_hide_no_structure():
     assert ends(ball, [0.0, 0.0], 1.5)[0] == pytest.approx(float(rises(1.5)), rel=1e-7)
 
 
-def test_stiff_contact_beyond_a_clearance():
-    """A mass comes back from the contact after half a period of its own."""
+def test_stiff_and_steep_forces_and_a_zero_state_without_derivative():
+    """A mass comes back from a contact after half a period of its own. With steep friction, it slows down for 1 s from
+    1.5 to the speed 0.5 of a belt. A fall with quadratic drag, written with a root, ends on 1 m/s as tanh t."""
     bounces = mass(lambda t, y, p: -1e8 * E.maximum(y["x"] - 1.0, 0.0), period=10.0)
     assert ends(bounces, [0.0, 1.0], 1.5, error=1e-8) == pytest.approx([0.5 + np.pi * 1e-4, -1.0], abs=1e-7)
-
-
-def test_steep_regularised_friction_from_speeds_at_which_it_is_flat():
-    """A mass slows down for 1 s from 1.5 to the speed 0.5 of a belt, which it then keeps."""
     rubs = mass(lambda t, y, p: -E.tanh(1e6 * (y["v"] - 0.5)), period=10.0)
     assert ends(rubs, [0.0, 1.5], 1.1, error=1e-8) == pytest.approx([1.05, 0.5], abs=1e-7)
-
-
-def test_rate_where_the_zero_state_has_no_derivative():
-    """A fall with quadratic drag, written with a root, ends on the speed 1 m/s as tanh t."""
     fall = mass(lambda t, y, p: -1.0 - E.sqrt(y["v"] ** 2) * y["v"])
     assert ends(fall, [0.0, -0.5], 1.0)[1] == pytest.approx(-np.tanh(1.0 + np.arctanh(0.5)), abs=1e-8)
 
@@ -236,21 +229,14 @@ def test_friction_holds_a_body_at_a_stop():
     assert (x, v) == pytest.approx((0.5 * free**3 / 6, 0.5 * free**2 / 2), abs=1e-8)
 
 
-def steep_system(scale):
-    law = vj.FrictionLaw(
-        name="falling",
-        reference="",
-        parameters=vj.parameters.table(vj.parameters.positive("v_s", scale, "m s-1", "scale", "v_s")),
-        mu=lambda u, p: 0.2 + 0.2 * E.exp(-u / p["v_s"]),
-    )
-    belt = vj.Friction("belt", lambda t, y, p: y["v"] - p["b"], lambda t, y, p: 1.0, law=law, acts_on="v")
-    return mass(lambda t, y, p: -y["x"], belt, parameters={"b": 0.1}, section="v")
-
-
 def test_steep_friction_law_from_two_starts():
     """By SciPy. From 1e-3 on, with steps of 2 v_s where the sliding speed is below 45 v_s, and a sine beyond."""
+    scale = vj.parameters.table(vj.parameters.positive("v_s", 1e-2, "m s-1", "scale", "v_s"))
+    law = vj.FrictionLaw("falling", "", scale, lambda u, p: 0.2 + 0.2 * E.exp(-u / p["v_s"]))
+    belt = vj.Friction("belt", lambda t, y, p: y["v"] - p["b"], lambda t, y, p: 1.0, law=law, acts_on="v")
+    steep = mass(lambda t, y, p: -y["x"], belt, parameters={"b": 0.1}, section="v")
     starts, scales = [[0.0, 0.0], [0.3, 0.1]], [1e-2, 1e-3, 1e-4, 1e-6]
-    ds = vj.run_sweep({"scene": steep_system(1e-2), "starts": starts, "grid": {"v_s": scales}}, progress=False)
+    ds = vj.run_sweep({"scene": steep, "starts": starts, "grid": {"v_s": scales}}, progress=False)
     periods = ds.period.transpose("v_s", "start").values
     right = np.array([8.3544943, 8.116578627, 8.075518689, 8.068991064])
     estimates = ds.error_estimate.transpose("v_s", "start").values

@@ -39,10 +39,8 @@ def test_lanes_agree_with_single_machines(box):
     assert {name: box.attrs[f"tolerance_{name}"] for name in ("gamma", "delta")} == {"gamma": 0.01, "delta": 0.001}
     corner = int(np.flatnonzero((box.gamma == 0.76) & (box.delta == 0.004))[0])
     for sample, gamma, delta in ((0, 0.75, 0.005), (corner, 0.76, 0.004)):
-        alone = vj.run_sweep(
-            {"scene": "vibro-impact", "starts": ["stuck"], "parameters": {"beta": 0.4, "gamma": gamma},
-             "grid": {"delta": [delta]}, "run": RUN}, progress=False,
-        )  # fmt: skip
+        about = {"parameters": {"beta": 0.4, "gamma": gamma}, "grid": {"delta": [delta]}, "run": RUN}
+        alone = vj.run_sweep({"scene": "vibro-impact", "starts": ["stuck"]} | about, progress=False)
         for name in ("period", "impact_velocity"):
             lane = float(box[name].isel(sample=sample, start=0))
             assert lane == pytest.approx(float(alone[name].item()), rel=1e-9), name
@@ -93,10 +91,8 @@ def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():
     assert box["sample"].values.tolist() == list(range(box.sizes["sample"]))
     assert float(box.impact_velocity_most[0]) > float(sampled.impact_velocity.max())
     assert (np.abs(refined.gamma - 0.64) <= 0.0064 * (1 + 1e-9)).all()
-    alone = vj.run_sweep(
-        {"scene": "vibro-impact", "starts": ["drive"], "parameters": {"beta": 0.4},
-         "points": {name: refined[name].values.tolist() for name in ("gamma", "delta")}}, progress=False,
-    )  # fmt: skip
+    points = {name: refined[name].values for name in ("gamma", "delta")} | {"beta": [0.4] * refined.sizes["sample"]}
+    alone = vj.run_sweep({"scene": "vibro-impact", "starts": ["drive"], "points": points}, progress=False)
     np.testing.assert_allclose(alone.impact_velocity, refined.impact_velocity, rtol=1e-9)
     irregular = float((sampled.regime == REGIMES.index("irregular")).mean())
     assert float(box.irregular_share[0]) >= irregular > 0
@@ -114,16 +110,13 @@ def test_scene_without_regimes_and_settings_of_runs_are_refused():
         vj.tolerance("penetration", force=(30e3, 1e3), progress=False)
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    {
-        "gamma=0.7": "no parameter has a tolerance",
-        "gamma=0.7+-x": "is not a tolerance; write NAME=VALUE+-HALF_WIDTH",
-        "beta=0.4+-0.5": "beta: is -0.1; it must be above 0",
-        "gamma=0.7+-0.01 gamma=0.7+-0.02": "is a second value",
-        "beta=1+-.1 gamma=1+-.1 v=1+-.1 g=9+-.1 c2=9+-.1 mu=1+-.1 m1=99+-.1": "7 parameters have a tolerance",
-    }.items(),
-)  # fmt: skip
-def test_invalid_input_gives_one_line(words, line, here, capsys):
-    assert line in command_refusal(capsys, "tolerance", "vibro-impact", *words.split())
+def test_invalid_input_gives_one_line(here, capsys):
+    for words, line in (
+        ("gamma=0.7", "no parameter has a tolerance"),
+        ("gamma=0.7+-x", "is not a tolerance; write NAME=VALUE+-HALF_WIDTH"),
+        ("beta=0.4+-0.5", "beta: is -0.1; it must be above 0"),
+        ("gamma=0.7+-0.01 gamma=0.7+-0.02", "is a second value"),
+        ("beta=1+-.1 gamma=1+-.1 v=1+-.1 g=9+-.1 c2=9+-.1 mu=1+-.1 m1=99+-.1", "7 parameters have a tolerance"),
+    ):
+        assert line in command_refusal(capsys, "tolerance", "vibro-impact", *words.split())
     assert not list(here.iterdir())

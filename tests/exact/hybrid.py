@@ -65,15 +65,10 @@ class Hybrid:
         self.near = [TOUCH if isinstance(event, Stop) else ON for event in self.events]
         self.noise = np.array([TOUCH if isinstance(event, Stop) else NOISE for event in self.events])
         p = {"omega": 1.0} | dict(p)
-        split = [
-            [tuple(x for x in system.field[state] if _side(x, system.switches) == side) for state in system.states]
-            for side in ("", *system.switches)
-        ]
+        sided = lambda state, side: (x for x in system.field[state] if _side(x, system.switches) == side)
+        plain = lambda terms, side: tuple((x, " ".join(n for n in s.split() if n != side)) for x, s in terms)
         sides = ("", *system.switches)
-        plain = [
-            [tuple((x, _without(s, side)) for x, s in e) for e in row] for side, row in zip(sides, split, strict=True)
-        ]
-        self.parts = compiled(system, p, plain)
+        self.parts = compiled(system, p, [[plain(sided(x, side), side) for x in system.states] for side in sides])
         variables = ("t", *system.states)
         surfaces = [getattr(e, {Stop: "gap", Surface: "function", Rub: "relative"}[type(e)]) for e in self.events]
         # The rate of a gap is a function of time and states: no event changes the rates of positions.
@@ -83,21 +78,13 @@ class Hybrid:
         ]
         self.values = compiled(system, p, [surfaces, held])
         self.slopes = compiled(system, p, [[derivative(e, x) for x in variables] for e in surfaces + held])
-        loads = [
-            times(((1.0 / p[e.mass], mu),), e.normal)
-            for e in self.events
-            if isinstance(e, Rub)
-            for mu in (e.kinetic, e.static)
-        ]
+        rubs = [e for e in self.events if isinstance(e, Rub)]
+        loads = [times(((1.0 / p[e.mass], mu),), e.normal) for e in rubs for mu in (e.kinetic, e.static)]
         self.loads = compiled(system, p, [loads])
-        self.resets = {
-            i: compiled(system, p, [[e.reset.get(x, ((1.0, x),)) for x in system.states]])
-            for i, e in enumerate(self.events)
-            if isinstance(e, Stop) and e.velocity is None
-        }
-        self.restitution = {
-            i: p[e.restitution] for i, e in enumerate(self.events) if i not in self.resets and isinstance(e, Stop)
-        }
+        stops = [(i, e) for i, e in enumerate(self.events) if isinstance(e, Stop)]
+        reset = lambda e: compiled(system, p, [[e.reset.get(x, ((1.0, x),)) for x in system.states]])
+        self.resets = {i: reset(e) for i, e in stops if e.velocity is None}
+        self.restitution = {i: p[e.restitution] for i, e in stops if e.velocity is not None}
 
     def motion(self, mode: Sequence[int], t: float, y: np.ndarray):
         """Return the rates, and the numbers, slacks and stabilities of held events by index."""
@@ -337,11 +324,7 @@ class Hybrid:
             if isinstance(event, Surface) and stable[i] == np.inf:
                 idle.append(i)
             elif i == which or slacks[i] < 1e-8:
-                sides[i] = (
-                    1
-                    if isinstance(event, Stop)
-                    else int(-np.sign(number) if isinstance(event, Rub) else np.sign(number))
-                )
+                sides[i] = 1 if isinstance(event, Stop) else int(np.sign(-number if isinstance(event, Rub) else number))
         later, d = [sides.get(i, 1 if i in idle else side) for i, side in enumerate(mode)], 1e-5
         for i in idle:  # a switch without effect on the field at this state: its side is that of the motion
             middle = y + 0.5 * d * self.motion(later, t, y)[0]
@@ -359,10 +342,6 @@ def _side(term: tuple[float, str], switches: Sequence[str]) -> str:
     sides = [name for name in term[1].split() if name in switches]
     assert len(sides) < 2, "the field must be affine in the sides"
     return sides[0] if sides else ""
-
-
-def _without(text: str, side: str) -> str:
-    return " ".join(name for name in text.split() if name != side)
 
 
 def _multipliers(A, b, bounds, B):
@@ -419,9 +398,8 @@ def _first_root(guard, points, g, armed, noise):
         lowest = 0.5 * (x0 + x1) - 0.5 * first / curvature
         value = g0 + (lowest - x0) * first + curvature * (lowest - x0) * (lowest - x1)
         if x0 < lowest < x2 and value < 0.02 * max(g0, g2):
-            best = minimize_scalar(
-                guard, bounds=(x0, x2), method="bounded", options={"xatol": 1e-11 + 1e-6 * (x2 - x0)}
-            )
+            tolerance = {"xatol": 1e-11 + 1e-6 * (x2 - x0)}
+            best = minimize_scalar(guard, bounds=(x0, x2), method="bounded", options=tolerance)
             if x0 + 1e-5 * (x2 - x0) < best.x < x2 - 1e-5 * (x2 - x0) and best.fun < GRAZING:
                 inside = (x0, best.x, best.fun)
                 break

@@ -82,18 +82,14 @@ def of_drill(motion: Motion) -> dict[str, float]:
     window = returns[: 1 + (len(returns) - 1) // cycles * cycles] if cycles else returns
     measures["cycles"] = cycles
     if scene.contact:
-        measures["peak_impact_force"] = peak_force(motion)
+        touching = [piece for piece in motion.pieces if piece.phase.striker == "touching"]
+        pressed = (extremes(motion, piece, scene.press(piece.phase))[1] for piece in touching)
+        measures["peak_impact_force"] = max(pressed, default=0.0)
     if len(window) >= 2:
         measures |= over_returns(motion, window, cycles)
     if scene.rock:
         measures["deepest_gap"] = swing(motion, row["e"])[0]
     return measures
-
-
-def peak_force(motion: Motion) -> float:
-    """Return the largest J in the observation."""
-    touching = [piece for piece in motion.pieces if piece.phase.striker == "touching"]
-    return max((extremes(motion, piece, motion.scene.press(piece.phase))[1] for piece in touching), default=0.0)
 
 
 def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
@@ -143,12 +139,9 @@ def over_returns(motion: Motion, window, cycles) -> dict[str, float]:
 
 
 def of_rock(growth, time, impacts, mean_force, p) -> dict[str, float]:
-    return {
-        "rate_of_penetration": growth / time,
-        "slip_per_impact": growth / impacts if impacts else math.nan,
-        "mean_force": mean_force,
-        "relief": mean_force / p.threshold,
-    }
+    slip = growth / impacts if impacts else math.nan
+    rate = {"rate_of_penetration": growth / time, "slip_per_impact": slip}
+    return rate | {"mean_force": mean_force, "relief": mean_force / p.threshold}
 
 
 def of_penetration(motion: Motion) -> dict[str, float]:

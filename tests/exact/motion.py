@@ -91,19 +91,13 @@ class Motion:
 def initial(scene: Scene, start) -> np.ndarray:
     """Return the initial state. `start` is a name (R5, R13) or a vector [x1, x1', x2, x2'], with rock [..., x3 - x4,
     x3']. Otherwise the rock begins at rest at zero. Without a drill, it is [x3 - x4, x3']."""
-    y = np.zeros(len(scene.entries))
+    y, values = np.zeros(len(scene.entries)), start
     y[-1] = 1.0
-    if scene.drill:
-        p = scene.p
-        named = {
-            "drive": (0.0, 0.0, 0.0, 0.0),
-            "stuck": (0.0, -p.v, 0.0, 0.0),
-            "touching": (0.0, 0.0, min(0.0, getattr(p, "delta", 0.0)), 0.0),
-        }
-        values = named[start] if isinstance(start, str) else start
-        y[: len(values)] = values
-    elif not isinstance(start, str):
-        y[:2] = start
+    if isinstance(start, str):
+        edge = min(0.0, getattr(scene.p, "delta", 0.0))
+        named = {"stuck": (0.0, -scene.p.v), "touching": (0.0, 0.0, edge)} if scene.drill else {}
+        values = named.get(start, ())
+    y[: len(values)] = values
     return y
 
 
@@ -127,9 +121,8 @@ def run(name, *, start="drive", settle=0.0, observe, pulses=None, **given) -> Mo
         motion.swing = swung(motion.swing, piece.c)
         repeats = repeats + 1 if piece.end - t < 1e-14 else 0
         if repeats > MOST_AT_ONCE:
-            raise ArithmeticError(
-                f"{event} and no time passes: t = {t}, {phase}, {dict(zip(scene.entries, y, strict=True))}"
-            )
+            state = dict(zip(scene.entries, y, strict=True))
+            raise ArithmeticError(f"{event} and no time passes: t = {t}, {phase}, {state}")
         t = piece.end
         if t > settle:
             motion.pieces.append(piece)

@@ -166,10 +166,8 @@ class Builder:
         options: list[Expression] = [((1.0, "v"),), ((1.0, "v"), (-1.0, self.new("v0")))]
         options += [((1.0, "v"), (-1.0, "vv"))] if kind == "masses" else []
         relative, weight = self.pick(*options), self.new("n")
-        normal: Expression = ((1.0, weight),)
-        normal += self.pick(
-            (), (), ((1.0, f"{self.new('n1')} x x"),), ((0.4, f"{weight} cos"),) if "omega" in self.ranges else ()
-        )
+        forced = ((0.4, f"{weight} cos"),) if "omega" in self.ranges else ()
+        normal: Expression = ((1.0, weight), *self.pick((), (), ((1.0, f"{self.new('n1')} x x"),), forced))
         kinetic = self.new("mu")
         static = self.new("static") if self.maybe(0.4) else kinetic
         self.events.append(Rub(name, relative, normal, kinetic, static, "v", self.new("m")))
@@ -197,13 +195,9 @@ def structure(seed: int, kinds: tuple[str, ...] | None = None) -> Described:
         for choice in (wish, "switch", "stop") if kinds is None else (wish,):
             if getattr(build, choice)(f"{choice}_{place + 1}", kind, taken):
                 break
-    used = [text for e in build.field.values() for _, text in e]
-    for event in build.events:
-        for value in vars(event).values():
-            parts = value.values() if isinstance(value, Mapping) else [value]
-            used += [
-                text for part in parts for text in ([part] if isinstance(part, str) else [s for _, s in part or ()])
-            ]
+    values = [*build.field.values(), *(value for event in build.events for value in vars(event).values())]
+    parts = [part for x in values for part in (x.values() if isinstance(x, Mapping) else [x])]
+    used = [text for part in parts for text in ([part] if isinstance(part, str) else [s for _, s in part or ()])]
     names = {name for text in used for name in text.split()} | {"omega"}
     ranges = {name: limits for name, limits in build.ranges.items() if name in names}
     starts = {name: (0.0, 0.9) if name == "q" else (-0.8, 0.8) for name in build.field}
@@ -221,10 +215,6 @@ def draw(system: Described, seed: int, index: int) -> tuple[dict[str, float], li
         if index % 4 == 3 and system.surfaces:
             state, value = system.surfaces[rng.integers(len(system.surfaces))]
             y[state] = sum(number * (p[text] if text else 1.0) for number, text in value) + 0.0
-        values = hybrid.values(0.0, list(y.values()))[0]
-        if all(
-            value >= 0 if abs(value) < 1e-9 else value > 0.02
-            for value, e in zip(values, hybrid.events, strict=True)
-            if isinstance(e, Stop)
-        ):
+        values = zip(hybrid.values(0.0, list(y.values()))[0], hybrid.events, strict=True)
+        if all(x >= 0 if abs(x) < 1e-9 else x > 0.02 for x, event in values if isinstance(event, Stop)):
             return p, list(y.values())

@@ -107,13 +107,9 @@ class Scene:
                 G = -self.row["v1"] / self.p.m1
             elif given is not None:
                 G = self.row["v3"] / self.p.m1
-            self.modes[key] = Mode(
-                A=np.stack([rates[name] for name in self.entries]),
-                G=G,
-                velocities=np.array([name[0] == "v" for name in self.entries]),
-                surfaces=np.stack(list(surfaces.values())),
-                names=list(surfaces),
-            )
+            A, forms = np.stack([rates[name] for name in self.entries]), np.stack(list(surfaces.values()))
+            velocities = np.array([name[0] == "v" for name in self.entries])
+            self.modes[key] = Mode(A, G, velocities, forms, list(surfaces))
             if phase.bit:
                 self.modes[key].force = lambda t, Y: self.friction_force(phase, Y)
         if given is not None:
@@ -195,26 +191,20 @@ class Scene:
             case "stops":
                 self.set(y, v1=-self.p.v)
                 return phase._replace(bit=self._stopped(phase, y))
-            case "breaks forwards":
-                return phase._replace(bit=1)
-            case "breaks backwards":
-                return phase._replace(bit=-1)
-            case "strikes":
-                self.meet(y)
-                return phase._replace(striker="touching")
-            case "presses again":
+            case "breaks forwards" | "breaks backwards":
+                return phase._replace(bit=1 if event == "breaks forwards" else -1)
+            case "strikes" | "presses again":
+                if event == "strikes":
+                    self.meet(y)
                 return phase._replace(striker="touching")
             case "releases" if self.p.c0:
                 return phase._replace(striker="leaving")
             case "releases" | "parts":
                 self.meet(y)
                 return phase._replace(striker="apart")
-            case "lands":
+            case "lands" | "lifts":
                 self.set(y, e=0.0)
-                return phase._replace(rock="elastic")
-            case "lifts":
-                self.set(y, e=0.0)
-                return phase._replace(rock="off")
+                return phase._replace(rock="elastic" if event == "lands" else "off")
             case "yields":
                 self.set(y, e=self.p.threshold / self.p.k3)
                 return self._after_rate_jump(phase._replace(rock="yielding"), y)

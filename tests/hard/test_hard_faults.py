@@ -165,13 +165,11 @@ def test_two_processes_on_one_output(folder, whole):
     assert_same(folder / "map.nc", whole)
 
 
+TERMINATED = pytest.param(signal.SIGTERM, 143, "terminated; ", marks=pytest.mark.long)
+
+
 @pytest.mark.parametrize(
-    ("sent", "status", "word"),
-    [
-        (signal.SIGINT, 130, "interrupted; "),
-        pytest.param(signal.SIGTERM, 143, "terminated; ", marks=pytest.mark.long),
-        (signal.SIGKILL, -9, ""),
-    ],
+    ("sent", "status", "word"), [(signal.SIGINT, 130, "interrupted; "), TERMINATED, (signal.SIGKILL, -9, "")]
 )
 def test_ctrl_c_is_answered_at_once(folder, whole, sent, status, word):
     """Ctrl-C and SIGTERM are answered with how to continue, which works; after SIGKILL too, finished chunks are used.

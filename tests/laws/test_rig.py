@@ -12,18 +12,15 @@ from vibrojax.studies.rig_analysis import torque_stick_slip
 HEADER = "YYYY/MM/DD,Depth (ft),WOB (klbf),ROP (ft/h),Rotary Speed (rpm),Torque (ft lbf)"
 
 
-def _log(path, rows):
-    path.write_text("\n".join([HEADER, *(",".join(["2026/01/02", *(f"{x:.8g}" for x in row)]) for row in rows)]) + "\n")
-    return path
-
-
 @pytest.fixture
 def log(tmp_path):
     rng = np.random.default_rng(0)
     weight = rng.uniform(10, 40, 120)
     rate = 2.0 * np.minimum(weight, 25) + 0.2 * np.maximum(weight - 25, 0) + 0.3 * rng.standard_normal(120)
     rows = np.stack([1000 + np.arange(120), weight, rate, np.full(120, 100.0), np.full(120, 5000.0)], axis=1)
-    return _log(tmp_path / "log.csv", rows), rows
+    lines = [",".join(["2026/01/02", *(f"{x:.8g}" for x in row)]) for row in rows]
+    (tmp_path / "log.csv").write_text("\n".join([HEADER, *lines, ""]))
+    return tmp_path / "log.csv", rows
 
 
 def test_specific_energy_matches_teale_in_field_units(log):
@@ -54,13 +51,9 @@ def test_command_draws_tracks_and_tells_the_planted_founder_point(log, tmp_path,
     assert ds.sizes["row"] == 120 and out.with_suffix(".png").exists()
     assert float(ds.founder_weight) == pytest.approx(25 * 4448.2216, rel=0.05)
     assert abs(float(ds.slope_above)) < 0.2 * float(ds.slope_below)
-    right = {
-        "driller": ["[m/h]", "[kN]", "[rpm]", "[kN m]", "[MPa]"],
-        "si": ["[m/s]", "[N]", "[rad/s]", "[N m]", "[J/m³]"],
-    }
-    for units, labels in right.items():
+    for units, labels in (("driller", "[m/h] [kN] [rpm] [kN m] [MPa]"), ("si", "[m/s] [N] [rad/s] [N m] [J/m³]")):
         tracks = sheet_of(ds.assign_attrs(drawn_in=units)).plots[1:]
-        assert [track.x.label.split("\n")[0].strip() for track in tracks] == labels
+        assert " ".join(track.x.label.split("\n")[0].strip() for track in tracks) == labels
         assert all(track.y.reversed and track.y.label == "depth [m]" for track in tracks)  # depth grows downwards
     assert main(["info", str(out)]) == 0
     printed = capsys.readouterr().out

@@ -1,7 +1,5 @@
-"""Trials of the fit on logs with planted laws.
-
-Each trial has two formations with their own C and D. The noise is 3 % of the mean rate, with a correlation of 0.7
-between neighbouring rows, and 3 % of the rows are outliers."""
+"""Trials of the fit on logs with planted laws. Each has two formations with their own C and D. The noise is 3 % of the
+mean rate, with a correlation of 0.7 between neighbouring rows, and 3 % of the rows are outliers."""
 
 import sys
 from contextlib import contextmanager

@@ -60,10 +60,9 @@ def bound_of_width(width):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_smoothed_matches_located(located, width):
     """The error stays below the bound of the width, which shrinks with the width."""
-    smoothed = position_motion(STUCK, method="smoothed", smoothing=width, step=0.1 * width)
-    assert position_error(smoothed, located["stuck"]) < bound_of_width(width)
-    irregular = position_motion(IRREGULAR, method="smoothed", smoothing=width, step=0.1 * width)
-    assert position_error(irregular, located["irregular"]) < bound_of_width(width)
+    for name, point in (("stuck", STUCK), ("irregular", IRREGULAR)):
+        smoothed = position_motion(point, method="smoothed", smoothing=width, step=0.1 * width)
+        assert position_error(smoothed, located[name]) < bound_of_width(width)
 
 
 def test_smoothed_matches_diffrax():
@@ -127,16 +126,13 @@ def test_arithmetic(operate):
         check(lambda a, b, number=number: operate(number, b))
 
 
-@pytest.mark.parametrize(
-    "function",
-    [
+def test_expressions():
+    for function in (
         lambda a, b: -a,
         lambda a, b: a * a * a * b,
         lambda a, b: (1 - a / 3 + a * a * a / 81) * (2 * b + 1) - 1 / (1 + a * a),
-    ],
-)
-def test_expressions(function):
-    check(function)
+    ):
+        check(function)
 
 
 NAMES = ("exp", "log", "sqrt", "sin", "cos", "tanh", "arctan")
