@@ -354,7 +354,7 @@ def _group_plot(
     is_within = [(x >= low) & (x <= high) for x, (low, high) in ((across * relief, right), (rate, up))]
     if beyond := int((known & ~np.all(is_within, axis=0)).sum()):
         axes = replace(axes[0], label=f"{text}\n{counted(beyond, 'row')} outside the panel"), axes[1]
-    shown = replace(axes[0], limits=right), replace(axes[1], limits=up if top > 0 else (None, None))
+    shown = replace(axes[0], limits=right), replace(axes[1], limits=up if top > 0 else (-0.06, 1.0))
     return Plot(layers, *shown, title, place, at(group))
 
 
