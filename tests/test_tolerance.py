@@ -104,7 +104,7 @@ def test_refined_samples_are_consistent_and_irregular_boxes_say_so_first():
 
 
 def test_scene_without_regimes_and_settings_of_runs_are_refused():
-    with pytest.raises(vj.InputError, match=r"settle: is not a parameter; it belongs in \[run\], in Python run="):
+    with pytest.raises(vj.InputError, match=r"settle: is a setting of sweeps; it belongs in \[run\]"):
         vj.tolerance("vibro-impact", delta=(0.005, 0.001), settle=20.0, progress=False)
     with pytest.raises(vj.InputError, match=r'scene: "penetration" has no section, so its motions have no regimes'):
         vj.tolerance("penetration", force=(30e3, 1e3), progress=False)
