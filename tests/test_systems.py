@@ -101,6 +101,12 @@ MISTAKES = {
         "field": lambda t, y, p, s: {"x": y["v"], "v": s["a"] - 2 * s["b"]},
         "events": [vj.Switch("a", lambda t, y, p: y["x"]), vj.Switch("b", lambda t, y, p: -2 * y["x"])],
     },
+    "for a force and its reaction, use a state": {
+        "events": [
+            vj.Friction("a", lambda t, y, p: y["x"] - y["v"], **RUB | {"acts_on": "x"}),
+            vj.Friction("b", lambda t, y, p: y["v"] - y["x"], **RUB),
+        ]
+    },
     "must depend on states, and not on t": {"section": lambda t, y, p: y["x"] - t},
     "a pair of a state and a number, or a function": {"section": 3.0},
     "the name of an argument": {"parameters": {"k": 1.0, "step": 1.0}},
