@@ -105,10 +105,23 @@ MISTAKES = {
         "field": lambda t, y, p, s: {"x": y["v"], "v": s["a"] - 2 * s["b"]},
         "events": [vj.Switch("a", lambda t, y, p: y["x"]), vj.Switch("b", lambda t, y, p: -2 * y["x"])],
     },
+    "for a force and its reaction, use a state": {
+        "events": [
+            vj.Friction("a", lambda t, y, p: y["x"] - y["v"], **RUB | {"acts_on": "x"}),
+            vj.Friction("b", lambda t, y, p: y["v"] - y["x"], **RUB),
+        ]
+    },
     "must depend on states, and not on t": {"section": lambda t, y, p: y["x"] - t},
     "a pair of a state and a number, or a function": {"section": 3.0},
     "the name of an argument": {"parameters": {"k": 1.0, "step": 1.0}},
     "states are x, v": {"section": ["x", 0.3]},
+    "stop: reset uses a function of np": {
+        "events": [vj.Impact("stop", lambda t, y, p: 1.0 - y["x"], reset=lambda t, y, p: {"v": -np.abs(y["v"])})]
+    },
+    "rub: normal uses a function that steps cannot expand": {
+        "events": [vj.Friction("rub", lambda t, y, p: y["v"], lambda t, y, p: np.exp(y["x"]), 0.3, "v")]
+    },
+    "rate uses a function of np": {"rate": lambda p: np.sqrt(p["k"])},
     "stop: gap is nan at x = ": {"events": [vj.Impact("stop", lambda t, y, p: vj.elementary.sqrt(-y["x"]), "v")]},
     "law is nan": {"events": [rub(law=np.nan)]},
     "that is a kind of special points": {"events": [vj.Switch("fold", lambda t, y, p: y["x"])]},

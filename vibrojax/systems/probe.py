@@ -220,11 +220,10 @@ class Probe:
         first, *others = tried()
         return run(first) + [value for calls in others if first.kinds for value in run(calls)]
 
-    def _jump(self, event: Any, t: Any) -> Mapping[str, Any]:
+    def _jump(self, event: Any, t: Any, y: Any = None) -> Any:
         """Return the new values that a reset gives."""
         sided = [self._sides] if required_arguments(event.reset) == 4 else []
-        new: Mapping[str, Any] = self._call(f"event {event.name}: reset", event.reset, t, self._y, self._p, *sided)
-        return new
+        return self._call(f"event {event.name}: reset", event.reset, t, y or self._y, self._p, *sided)
 
     # What the functions give
 
@@ -314,6 +313,7 @@ class Probe:
         value = self._number("rate", self._call("rate", rate, self._p))
         if not bool((value > 0).all()):
             raise self._refuse(f"rate is {float(value[0]):g}; it must be above zero")
+        jax.eval_shape(lambda p: self._call("rate", rate, p), jax.tree.map(np.asarray, self._p))
 
     def _check_effect(self, event: Event) -> None:
         """Refuse an event whose function does not depend on what the event changes, or a friction that drives."""
@@ -336,6 +336,9 @@ class Probe:
         self._check_expands("field", lambda t, y, p: self.rates(t, y, number=False))
         for event in self._events:
             self._check_expands(*self._surface(event))
+            if isinstance(event, Friction):
+                what, force = f"event {event.name}: normal", event.force
+                self._check_expands(what, lambda t, y, p, force=force: force(t, y, p, self._sides))
         try:
             jax.eval_shape(self._call_all, *jax.tree.map(np.asarray, (self._t, self._y, self._p)))
         except InputError as error:
@@ -357,6 +360,8 @@ class Probe:
                             self._call(f"event {event.name}: {part}", own, p)
                 elif isinstance(event, Impact) and event.reset is None:
                     self._call(f"event {event.name}: restitution", event.bounce, p)
+                elif isinstance(event, Impact):
+                    self._jump(event, t, y)
         finally:
             self._p = before
 

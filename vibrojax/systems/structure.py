@@ -235,6 +235,8 @@ class Structure(Probe):
                     (Switch, Switch): "use one of them, whose sides are those of the other, up to the sign",
                     (Friction, Friction): "write one friction with the sum of both forces",
                 }.get((type(first), type(second)), "write the difference of the directions into the friction's law")
+                if first.acts_on != second.acts_on and isinstance(first, Friction) and isinstance(second, Friction):
+                    advice = "for a force and its reaction, use a state with the relative velocity and the reduced mass"
                 raise self._refuse(f"{first.name} and {second.name} have the same surface; {advice}")
 
     def _still_stops(self, speeds: Mapping[str, str]) -> dict[int, float]:
