@@ -82,6 +82,61 @@ def test_rotations_of_a_pendulum_whose_angle_jumps_back():
     assert far.sizes["point"] > 70
 
 
+def test_family_goes_on_where_an_angle_jumps_back_at_the_section():
+    """At the forcing 1.2241 the angle is -pi as the period begins. The reference is Newton's method on the motion
+    without jumps, at relative tolerance 1e-11."""
+    events = [
+        vj.Impact("up", lambda t, y, p: np.pi - y["x"], reset=lambda t, y, p: {"x": y["x"] - 2 * np.pi}),
+        vj.Impact("down", lambda t, y, p: np.pi + y["x"], reset=lambda t, y, p: {"x": y["x"] + 2 * np.pi}),
+    ]
+    rate = lambda t, y, p: p["g"] * cos(2 / 3 * t) - 0.5 * y["v"] - vj.elementary.sin(y["x"])
+    pendulum = mass(rate, *events, name="forced-pendulum", parameters={"g": 1.2}, period=3 * np.pi)
+    orbit = {"states": [-3.1015250230, 0.7606582105], "period": 3 * np.pi}
+    family = vj.follow(
+        pendulum, along="g", at=1.2116256715788802, span=(1.2, 1.4), orbit=orbit, cycles=1, progress=False
+    )
+    assert special_values(family, "end").tolist() == [1.2, 1.4] and len(special_values(family, "section")) == 1
+    last = family.isel(point=-1)
+    assert [float(last.orbit_x), float(last.orbit_v)] == pytest.approx([2 * np.pi - 3.55828588, 0.53843125], abs=1e-8)
+
+
+def masses(t, y, p):
+    """Return the rates of a shaken mass and of a second one on it."""
+    pull = 2 * (y["x2"] - y["x1"]) + 0.1 * (y["v2"] - y["v1"])
+    first = 0.4 * cos(p["w"] * t) - y["x1"] - 0.1 * y["v1"] + pull
+    return {"x1": y["v1"], "v1": first, "x2": y["v2"], "v2": -2 * pull}
+
+
+MOVING_STOP = system(
+    ("x1", "v1", "x2", "v2"),
+    masses,
+    vj.Impact("stop", lambda t, y, p: 0.6 + p["e"] * cos(p["w"] * t + 0.5) - y["x2"], velocity="v2", restitution=0.7),
+    name="moving-stop",
+    parameters={"w": 1.0, "e": 0.1},
+    period=lambda p: 2 * np.pi / p["w"],
+)
+
+
+def misses_moving_stop(w, e):
+    """Return the amplitude of the gap without impact, which is linear, less its mean."""
+    stiffness, mass_matrix = np.array([[3.0, -2.0], [-2.0, 2.0]]), np.diag([1.0, 0.5])
+    dynamic = stiffness + 1j * w * np.array([[0.2, -0.1], [-0.1, 0.1]]) - w**2 * mass_matrix
+    return abs(np.linalg.solve(dynamic, [0.4, 0.0])[1] - e * np.exp(0.5j)) - 0.6
+
+
+@pytest.mark.long
+def test_graze_of_two_masses_is_exact_over_two_parameters():
+    """The motion without impact is linear. At e = 0.123 a step ends 1e-11 before the stop."""
+    begin = {"along": "w", "start": [0.0] * 4, "cycles": 1, "progress": False}
+    family = vj.follow(MOVING_STOP, at=1.5, span=(1.12, 1.6), **begin, e=0.12)
+    [graze] = special_values(family, "grazing")
+    assert graze == pytest.approx(brentq(misses_moving_stop, 1.1, 1.2, args=(0.12,)), abs=1e-9)
+    special = int(np.flatnonzero(family.special_value.values == graze)[0])
+    curve = vj.curves(family, by="e", span=(0.115, 0.15), special=special, progress=False)
+    assert (curve.e.values.min(), curve.e.values.max()) == (0.115, 0.15)
+    assert max(abs(misses_moving_stop(*x)) for x in zip(curve.w.values, curve.e.values, strict=True)) < 1e-9
+
+
 LONGER = [pytest.param(phase, 0.008, marks=pytest.mark.long) for phase in (0.0, 1.0)]
 
 
@@ -374,3 +429,32 @@ def test_family_ends_without_a_graze_where_two_impacts_coincide():
         motion = solve_ivp(lambda t, y, ph: [*rates(t, *y, ph)], (t, 7.0), y, **options)
         x, v, z = motion.y[:, -1]
         y, t = ([x, -0.8 * v, z] if motion.t_events[0].size else [x, v - 0.2, 0.0]), motion.t[-1]
+
+
+@pytest.mark.long
+def test_loop_of_three_returns_closes_at_another_return():
+    """After one turn the family is back at its first orbit, listed from another of its three returns."""
+    table, positive = vj.parameters.table, vj.parameters.positive
+    parameters = table(positive("mus", 0.4, "1", "static", "mus"), positive("vs", 0.3, "m s-1", "Stribeck", "vs"))
+    falling = lambda u, p: 0.2 + (p["mus"] - 0.2) * vj.elementary.exp(-u / p["vs"])
+    belt = mass(
+        lambda t, y, p: 0.15 * cos(p["w"] * t) - 0.02 * y["v"] - y["x"],
+        vj.Friction(
+            "slip",
+            relative=lambda t, y, p: y["v"] - 0.3,
+            normal=lambda t, y, p: 1.0,
+            law=vj.FrictionLaw(name="falling", reference="own", parameters=parameters, mu=falling),
+            acts_on="v",
+        ),
+        vj.Impact("stop", lambda t, y, p: 0.5 - y["x"], velocity="v", restitution=0.6),
+        name="belt",
+        parameters={"w": 1.7},
+        period=lambda p: 2 * np.pi / p["w"],
+    )
+    family = vj.follow(belt, along="w", at=1.7, span=(1.0, 3.0), start=[0.0, 0.0], cycles=1, progress=False)
+    assert sorted(special_values(family, "grazing")) == pytest.approx([1.56692158, 1.61701058], abs=1e-7)
+    assert sorted(special_values(family, "stick")) == pytest.approx([1.67144594, 1.89238109], abs=1e-7)
+    assert (
+        "back where it began" in family.special_note.values
+        and not (family.special_note == "the family ends here").any()
+    )

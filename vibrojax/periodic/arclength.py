@@ -309,6 +309,14 @@ class _ActiveBranches:
             small[k] = self._around_equilibrium[family]
         return np.asarray(small)
 
+    def _shifted(self, home: np.ndarray) -> list[np.ndarray]:
+        """Return first points and tangents, listed from each of their section crossings."""
+        rows, number = self._problem.rows, home.shape[-1] - len(self._problem.along)
+        if not self._problem.at_section:
+            return [home]
+        shifts = range(0, number, rows)
+        return [np.concatenate([np.roll(home[..., :number], k, axis=-1), home[..., number:]], axis=-1) for k in shifts]
+
     def _accept(self, lanes: Index, now: Points) -> Flags:
         """Accept converged points that continue the same branch, and choose the next steps.
 
@@ -358,11 +366,13 @@ class _ActiveBranches:
         if self._home is not None:
             distance = np.linalg.norm(now.u - self._home[kept, 0], axis=1)
             self._farthest[kept] = np.fmax(self._farthest[kept], distance)
-            closed = (distance < self._longest) & (self._length[kept] > 5 * self._longest)
-            # A small loop goes to its far side and back, and passes its first point within a step.
-            closed |= (distance < 1.1 * taken) & (self._length[kept] > LOOP * self._farthest[kept])
-            closed &= np.einsum("ij,ij->i", now.tangent, self._home[kept, 1]) > 0.9
-            self.status[kept[closed]] = CLOSED
+            for home in self._shifted(self._home[kept]):
+                distance = np.linalg.norm(now.u - home[:, 0], axis=1)
+                closed = (distance < self._longest) & (self._length[kept] > 5 * self._longest)
+                # A small loop goes to its far side and back, and passes its first point within a step.
+                closed |= (distance < 1.1 * taken) & (self._length[kept] > LOOP * self._farthest[kept])
+                closed &= np.einsum("ij,ij->i", now.tangent, home[:, 1]) > 0.9
+                self.status[kept[closed]] = CLOSED
         self.status[kept[self._count[kept] >= BRANCH_MAX_POINTS]] = TOO_LONG
         # Near a graze, multipliers grow without limit, but no special points accumulate.
         near_change = (self._length[kept] - self._changed_at[kept] < CORNER) | (now.margin < NEAR_GRAZE)

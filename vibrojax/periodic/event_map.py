@@ -188,7 +188,8 @@ def _signed_minimum(f: Coefficients, step: Step, scale: Array) -> Array:
     A motion that has just reached or left the surface begins next to it, with a rate that is a rounding error.
     """
     turns, place = turning(f, step.tau)
-    return jnp.where(turns & (jnp.abs(f[0]) > DEPARTED * scale), value(f, lax.stop_gradient(place)), jnp.inf)
+    departs = (jnp.abs(f[0]) <= DEPARTED * scale) & (jnp.abs(f[1]) <= DEPARTED * scale)
+    return jnp.where(turns & ~departs, value(f, lax.stop_gradient(place)), jnp.inf)
 
 
 def _least_value(f: Coefficients, end: Array) -> Array:

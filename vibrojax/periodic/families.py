@@ -53,7 +53,8 @@ STEEP_GRAZE = 1e3
 ENDS_AT_SHORTER = "the branch ends at the orbit of half its period"
 """Note on a period doubling that a branch reaches from the side of the doubled orbit."""
 
-ENDS_HERE = "the family ends here"
+ENDS_HERE, NOT_FOUND = "the family ends here", "no orbit is found behind it"
+"""Notes on ends at a change of events: where the map may jump, and where it is continuous, so that orbits go on."""
 
 EXCHANGED = "no impact: two events exchange their order, and multipliers jump"
 NO_GRAZE = "the order of events changes, none grazes: two happen at one instant, or one at that of the section"
@@ -264,7 +265,8 @@ class FamilyContinuation(Tracing):
                 continue
             if beyond is None:
                 uncounted = "the motion goes on, its returns are not counted any more"
-                note = uncounted if kinds[0] == "section" else ENDS_HERE
+                ends = ENDS_HERE if problem.scene.may_jump else NOT_FOUND
+                note = uncounted if kinds[0] == "section" else ends
             elif not turned[k]:
                 kinds, doubled, note = ["section"], False, f"{beyond.times.shape[1]} returns from here"
             for kind in kinds:

@@ -68,7 +68,8 @@ def drop_duplicates(segments: list[Segment], problem: Problem) -> list[Segment]:
     A closed branch was continued in both directions. A branch that connects two period doublings was continued from
     both of them. A branch may lead to a branch point at which another one was begun.
     """
-    closed = {_branch(s) for s in segments if any(m.note == ENDINGS[CLOSED] for m in s.marks)}
+    ways = [(_branch(s), s.direction) for s in segments if any(m.note == ENDINGS[CLOSED] for m in s.marks)]
+    closed = dict(sorted(ways))  # if both ways are closed, the second one counts
     again = _from_other_ends(segments, problem.rows)
 
     def is_crossed(segment: Segment) -> bool:
@@ -82,7 +83,7 @@ def drop_duplicates(segments: list[Segment], problem: Problem) -> list[Segment]:
 
     def is_dropped(segment: Segment) -> bool:
         branch = _branch(segment)
-        if branch in again or (segment.direction < 0 and branch in closed) or is_crossed(segment):
+        if branch in again or segment.direction != closed.get(branch, segment.direction) or is_crossed(segment):
             return True
         return segment.parent is not None and is_dropped(segment.parent)
 

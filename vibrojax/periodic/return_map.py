@@ -323,7 +323,8 @@ def across_impacts(
     """
     own = driving_values(scene, parameters)
     with precision("float64"):
-        sides = _across_impacts(scene.driving_part(), own, np.ascontiguousarray(states.T)) if scene.stops else []
+        known = scene.stops or scene.may_jump
+        sides = _across_impacts(scene.driving_part(), own, np.ascontiguousarray(states.T)) if known else []
     return [(np.asarray(gap), np.asarray(other).T) for gap, other in sides]
 
 

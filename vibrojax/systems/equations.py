@@ -230,7 +230,10 @@ class SystemEquations(Scene[SystemConstants]):
         mode = free_modes(flow, c, t, y, 0.0 * state[0])
         sides = []
         for index, event in flow.of(Impact):
-            if event.name not in self.stops:
+            typical = c.lifts[index] / (LIFT_ROUNDINGS * jnp.finfo(c.lifts[index].dtype).eps)
+            if event.velocity is None:
+                gap, z = self._across_reset(c, mode, index, t, y)
+                sides.append((gap / typical, self._with_known(state, z)))
                 continue
             gap, rate = flow.surface(c, mode, index, t, y), flow.closing(c, mode, index, t, y)
             ago = gap / rate
@@ -239,9 +242,41 @@ class SystemEquations(Scene[SystemConstants]):
             jump = (jnp.where(rate < 0, -r * rate, -rate / r) - rate) / flow.gain(c, mode, index, t - ago, z)
             z = z | {event.velocity: z[event.velocity] + jump}
             z = _moved(z, flow.plain(c, mode, t - ago, z), ago)
-            typical = c.lifts[index] / (LIFT_ROUNDINGS * jnp.finfo(c.lifts[index].dtype).eps)
             sides.append((gap / typical, self._with_known(state, z)))
         return sides
+
+    def _across_reset(
+        self, c: SystemConstants, mode: Values, index: int, t: Any, y: Mapping[str, Any]
+    ) -> tuple[Any, dict[str, Any]]:
+        """Return the gap of a stop with a reset, and the state after the next reset or before the last one.
+
+        The state before is exact where each new value is a linear function of the same old one. The gap is negative
+        where the motion has passed the stop without its reset, or has not yet reached it but has the state behind it.
+        """
+        flow, event = self._flow, self.events[index]
+        sign = -1.0 if isinstance(event, Impact) and event.direction == 1 else 1.0
+
+        def after(t: Any, y: Mapping[str, Any]) -> dict[str, Any]:
+            new = flow.resets[index](t, y, c.p, flow.sides_of(mode))
+            return {**y, **{name: x for name, x in new.items() if name not in self._discrete}}
+
+        def before(t: Any, y: Mapping[str, Any]) -> dict[str, Any]:
+            old = dict(y)
+            for name, x in after(t, y).items():
+                slope = slope_along(lambda t, y: after(t, y)[name], t, y, [float(key == name) for key in y], 0.0)  # noqa: B023
+                old[name] = y[name] + (y[name] - x) / slope
+            return old
+
+        def across(jump: Callable[..., dict[str, Any]], z: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
+            gap, rate = (f(c, mode, index, t, z) for f in (flow.surface, flow.closing))
+            ago = gap / rate
+            there = jump(t - ago, _moved(y, flow.plain(c, mode, t, y), -ago))
+            there = _moved(there, flow.plain(c, mode, t - ago, there), ago)
+            return jnp.where(sign * rate < 0, sign * gap, jnp.inf), there
+
+        (ahead, next_state), (behind, last_state) = across(after, y), across(before, before(t, y))
+        is_next = jnp.abs(ahead) <= jnp.abs(behind)
+        return jnp.where(is_next, ahead, -behind), {k: jnp.where(is_next, next_state[k], last_state[k]) for k in y}
 
     def mode_at(self, c: SystemConstants, state: Values) -> Values:
         zero = jnp.zeros_like(state[0])
