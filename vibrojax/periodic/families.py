@@ -241,9 +241,11 @@ class FamilyContinuation(Tracing):
                 continue
             # At a rigid stop no mode changes: only the margin shows that an event begins.
             touches = end.margin[0] < GRAZED_MARGIN
-            if touches or (changed[k] and not problem.at_section):
+            if touches or changed[k]:
                 flags = classify_event_changes(problem, corners.of([k])).kind
                 kinds = [SPECIAL_KINDS[flag] for flag in flags]
+                if kinds == ["grazing"] and problem.at_section and not (touches or turned[k]):
+                    kinds = []
             elif turned[k]:
                 kinds = ["grazing"]
             crossed = cross_impact(problem, end) if problem.at_section else None
