@@ -107,8 +107,8 @@ MISTAKES = {
     },
     "for a force and its reaction, use a state": {
         "events": [
-            vj.Friction("a", lambda t, y, p: y["x"] - y["v"], **RUB | {"acts_on": "x"}),
-            vj.Friction("b", lambda t, y, p: y["v"] - y["x"], **RUB),
+            replace(rub(lambda t, y, p: y["x"] - y["v"]), name="a", acts_on="x"),
+            replace(rub(lambda t, y, p: y["v"] - y["x"]), name="b"),
         ]
     },
     "must depend on states, and not on t": {"section": lambda t, y, p: y["x"] - t},

@@ -171,18 +171,15 @@ class Probe:
                 raise self._refuse(
                     f"event {event.name}: {shown(event.acts_on)} is not a state; choose from {', '.join(self._states)}"
                 )
-            if isinstance(event, Friction) and isinstance(event.law, int | float) and not event.law >= 0:
-                raise self._refuse(f"event {event.name}: law is {event.law:g}; a coefficient is at least 0")
-            if isinstance(event, Friction) and not (
-                isinstance(event.law, FrictionLaw | int | float) or callable(event.law)
-            ):
-                hint = suggestion(event.law, FRICTION_LAWS) if isinstance(event.law, str) else ""
-                hint = hint or "give a number, a function of p, a law or its name"
-                raise self._refuse(f"event {event.name}: law is {shown(event.law)}; {hint}")
-            own_law = isinstance(event, Friction) and callable(event.law)
-            if own_law and required_arguments(event.law) != 1:
-                hint = "write law(p), or a vj.FrictionLaw with mu(speed, p)"
-                raise self._refuse(f"event {event.name}: law takes other arguments; {hint}")
+            if isinstance(event, Friction):
+                what, law = f"event {event.name}: law", event.law
+                if isinstance(law, int | float) and not law >= 0:
+                    raise self._refuse(f"{what} is {law:g}; a coefficient is at least 0")
+                if not (isinstance(law, FrictionLaw | int | float) or callable(law)):
+                    hint = suggestion(law, FRICTION_LAWS) if isinstance(law, str) else ""
+                    raise self._refuse(f"{what} is {shown(law)}; {hint or 'give a number, a function of p or a law'}")
+                if callable(law) and required_arguments(law) != 1:
+                    raise self._refuse(f"{what} takes other arguments; write law(p), or a vj.FrictionLaw: mu(speed, p)")
             functions = {what: function for what, function in (self._surface(event), _normal(event)) if what}
             for what, function in functions.items():
                 if not callable(function):
