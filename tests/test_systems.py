@@ -161,7 +161,7 @@ def test_structure_does_not_depend_on_units(unit):
 def test_lanes_that_cannot_be_run_fail_with_reason():
     ds = vj.run_sweep({"scene": IMPACT_OSCILLATOR, "grid": {"a": [0.1, 0.15]}, "starts": [[1.5, 0.0]]}, progress=False)
     assert names_of(ds) == ["failed"] * 2 and names_of(ds, "reason") == ["beyond-a-stop"] * 2
-    assert "Lanes failed: beyond-a-stop" in vj.picture(ds).get_supxlabel()
+    assert "Lanes failed: beyond-a-stop" in vj.picture(ds).get_supxlabel().replace("\n", " ")
     bounces = vj.run_sweep({"scene": BALL, "grid": {"r": [0.5, 1.01]}, "starts": [[1.0, 0.0]]}, progress=False)
     assert names_of(bounces, "reason") == ["none", "restitution-not-0-to-1"] and names_of(bounces)[1] == "failed"
     base = vj.Friction("base", lambda t, y, p: y["v"], lambda t, y, p: 1.0, 0.3, "v", mass=lambda p: p["m"])
