@@ -126,6 +126,10 @@ def test_implausible_values_are_refused_or_warned_of_if_a_unit_is_given(tmp_path
     with pytest.warns(vj.UnusualValue, match="m/s is far outside .* likely --columns .*m/h") as warned:
         fit_rop(path, columns={"rate_of_penetration": "rate_of_penetration (m/s)"}, progress=False)
     assert len(warned) == 1
+    # Of kN called t, those beyond reason would be dropped in silence.
+    tonnes = rig(tmp_path / "t.csv", "ROP (m/h),WOB (t)", 3600 * RATES, 100 * FORCE / np.median(FORCE))
+    with pytest.warns(vj.UnusualValue, match="980665 N is far .* likely --columns weight_on_bit="):
+        fit_rop(tonnes, columns={"threshold": "20 kN"}, progress=False)
 
 
 def test_rock_gives_the_threshold(tmp_path):

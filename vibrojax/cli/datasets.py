@@ -41,7 +41,7 @@ from vibrojax.threads import on_leaving
         "--diagram",
         "NAME",
         "diagram of a sweep: campbell (frequencies over the speed), rate-over-force (rate of penetration with its "
-        "onset) or chart (where the single impact is robust, with lines of equal energy, force and rate)",
+        "onset) or chart (where the single impact is robust, with maps of energy, force, rate and blows)",
     ),
     argument("--colours", "MAP", "name of a matplotlib colour map for quantities"),
     argument("--width", "WIDTH", "width of the picture, such as 85mm or 170mm for a column or a page of a journal"),

@@ -205,16 +205,18 @@ def choose_columns(place: Place, header: list[str], columns: Mapping[str, str]) 
     return chosen, notes
 
 
-def likely_words(name: str, column: Column, median: float) -> str | None:
+def likely_words(name: str, column: Column, median: float, limit: float) -> str | None:
     """Return NAME="COLUMN (UNIT)" with likely units if the `median` of a column is far from the range of rigs.
 
-    The limits are closer for a unit that is only assumed. None if the unit is plausible.
+    The limits are closer for a unit that is only assumed. `limit` [SI]: greatest value within reason. None if the unit
+    is plausible.
     """
     quantity, value = KNOWN[name], median * column.factor
     if quantity.usual is None:
         return None
     low, high = quantity.usual
-    if low / _MARGIN <= value <= high * _MARGIN or not (column.assumed or quantity.is_far(value)):
+    near = low / _MARGIN <= value <= high * _MARGIN or not (column.assumed or quantity.is_far(value))
+    if near and value <= limit:
         return None
     choice = " or ".join(likely_units(median, quantity.unit, quantity.usual)) or "UNIT"
     right = f"{median:.6g} {choice}" if column.index is None else f"{split_unit(column.header)[0]} ({choice})"

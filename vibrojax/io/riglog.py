@@ -189,7 +189,7 @@ def _quantities(
                 if low <= median * scale <= high:
                     chosen[key] = column = replace(column, unit=unit, factor=scale)
         table[key] = column.factor * values
-        if (word := known.likely_words(key, column, median)) is None:
+        if (word := known.likely_words(key, column, median, LIMITS.get(key, np.inf))) is None:
             continue
         fault = f"{key} {median:.6g} {column.unit} ({low:g} to {high:g} {UNITS[KNOWN[key].unit][0]})"
         if not column.assumed:

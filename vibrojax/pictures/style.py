@@ -120,4 +120,4 @@ def drawable(ds: xr.Dataset) -> xr.Dataset:
 def plain(text: str) -> str:
     """Return a text for matplotlib: dollar signs begin no formula, and the index of a symbol such as v_cr is lower."""
     text = re.sub(r"(?<!\\)\$", r"\\$", text)
-    return re.sub(r"\b([^\W\d_])_([a-z]{1,3})\b", r"$\\mathregular{\1_{\2}}$", text)
+    return re.sub(r"\b([^\W\d_])_([a-z]{1,2})\b", r"$\\mathregular{\1_{\2}}$", text)

@@ -190,12 +190,13 @@ class UnusualValue(UserWarning):
 def warn_if_far(place: Place, parameter: Parameter, values: object, likely: str = "", meant: str = "") -> None:
     """Issue a one-line warning if any of `values`, a number or an array, is far outside the parameter's usual range.
 
-    `likely` replaces the default advice about the likely unit; `meant` is advice in case the values are intended.
+    `likely` replaces the default advice about the likely unit, and says that all values are far outside. `meant` is
+    advice in case the values are intended.
     """
     if parameter.usual is None:
         return
     numbers = np.atleast_1d(np.asarray(values, float)).ravel()
-    far = [value for value in np.unique(numbers).tolist() if parameter.is_far(value)]
+    far = [value for value in np.unique(numbers).tolist() if likely or parameter.is_far(value)]
     if not far:
         return
     low, high = parameter.usual

@@ -161,10 +161,11 @@ def rate_over_force(ds: xr.Dataset) -> Sheet:
                 layers.append(Line(of_force * along, factor * values, line.colour))
         return Plot(layers, across, up)
 
-    marks: list[Key] = [key("fitted law C ln(P/P₀)", width=1.2)]
-    marks += [dots(label="no penetration", face="white")] * bool((ds[RATE] == 0).any())
+    marks: list[Key] = [dots(label="no penetration", face="white")] * bool((ds[RATE] == 0).any())
     marks += [Area(colour=FAINT, alpha=0.3, label="onset")] * few
     sheet = row_per_facet(ds, x, by, [draw], [])
+    if any(isinstance(layer, Line) for plot in sheet.plots for layer in plot.layers):
+        marks.insert(0, key("fit of C ln(P/P₀), not compared with other laws", width=1.2))
     lines = line_keys(ds, by) or [key("", marker="o", colour=BIT)]
     if few:
         heads = [with_unit(", ".join(filter(None, (line.label, "onset"))), force_unit) for line in lines]
