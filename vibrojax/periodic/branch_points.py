@@ -47,7 +47,7 @@ CROSSED_RESIDUAL = 1e-7
 """Largest residual at a branch point. Where two branches only pass each other, it is larger."""
 
 VANISHED_SWING = 1e-9
-"""Relative amplitude up to which the point is the equilibrium at a Hopf point, from which the orbits begin."""
+"""Relative amplitude up to which an orbit without a section is the equilibrium at the Hopf point where it begins."""
 
 SAME_HALVES = 1e-3
 """Difference between the halves of an orbit, relative to its unknowns, up to which they are equal."""
@@ -184,7 +184,7 @@ def _polished(problem: Problem, point: Points) -> Points | None:
         if np.abs(change[:columns]).max() < POLISHED:
             break
     crossed = abs(b) < CROSSED_RESIDUAL and point.residual[0] < CROSSED_RESIDUAL
-    return point if crossed and point.swing[0] > VANISHED_SWING else None
+    return point if crossed and (problem.at_section or point.swing[0] > VANISHED_SWING) else None
 
 
 def _curvature(problem: Problem, point: Points, w: np.ndarray) -> np.ndarray:

@@ -161,7 +161,8 @@ class FamilyContinuation(Tracing):
     def _repeats(self, orbits: Points) -> Flags:
         """Return a mask of the orbits that go round twice."""
         own, half = (np.linalg.norm(x, axis=1) for x in (orbits.u, self._problem.halves(orbits)))
-        return np.asarray(half < SAME_HALVES * np.minimum(own, orbits.swing))
+        size = own if self._problem.at_section else np.minimum(own, orbits.swing)  # small next to a Hopf point
+        return np.asarray(half < SAME_HALVES * size)
 
     def _pass_branch_point(self, segment: Segment, before: Points, crossing: Points) -> list[Segment]:
         """End a segment at a branch point where its steps became short; return the segment behind it."""
