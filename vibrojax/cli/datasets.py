@@ -79,10 +79,7 @@ def plot(options: Options) -> None:
         print(": ".join(filter(None, (str(picture), "; ".join(filter(None, notes))))))
 
 
-@command(
-    argument("file", "OUT.nc", "a dataset written by vibrojax"),
-    JSON,
-)
+@command(argument("file", "OUT.nc", "a dataset written by vibrojax"), JSON)
 def info(options: Options) -> None:
     """Show what a dataset holds: scene, grid, regimes, failures, accuracy, provenance."""
     from vibrojax.io.dataset import open_dataset

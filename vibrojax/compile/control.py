@@ -178,9 +178,4 @@ def _call(asm: Assembly, write: Write, equation: Any, values: Sequence[Value], o
     return write(called(equation), values, owned)
 
 
-RULES: dict[str, ControlRule] = {
-    "while": _while,
-    "scan": _scan,
-    "cond": _branch,
-    **dict.fromkeys(CALLS, _call),
-}
+RULES: dict[str, ControlRule] = {"while": _while, "scan": _scan, "cond": _branch, **dict.fromkeys(CALLS, _call)}

@@ -6,16 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vibrojax.compile.assembly import (
-    BOOL,
-    Assembly,
-    Entry,
-    Operand,
-    Untranslatable,
-    element,
-    literal,
-    refuse_if,
-)
+from vibrojax.compile.assembly import BOOL, Assembly, Entry, Operand, Untranslatable, element, literal, refuse_if
 
 FLOATS, INTEGERS, NUMBERS, ANY = "f", "iu", "fiu", "fiub"
 """Kinds of operands, as numpy's kind codes: floats, signed and unsigned integers, booleans."""

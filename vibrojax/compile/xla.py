@@ -71,12 +71,7 @@ class BoundProgram:
     """
 
     def __init__(
-        self,
-        function: Callable[..., Any],
-        static: tuple[Hashable, ...],
-        block: int,
-        blocks: int,
-        *arguments: Any,
+        self, function: Callable[..., Any], static: tuple[Hashable, ...], block: int, blocks: int, *arguments: Any
     ) -> None:
         self._run = partial(_run_blocks, function, static, block)
         self._block, self._blocks, self._arguments = block, blocks, arguments

@@ -33,11 +33,7 @@ class Explorer(anywidget.AnyWidget):
     simulated = traitlets.Dict()
 
     def __init__(
-        self,
-        ds: xr.Dataset,
-        over: xr.Dataset | None,
-        sweep: Sweep | Mapping[str, object] | None,
-        live: bool | None,
+        self, ds: xr.Dataset, over: xr.Dataset | None, sweep: Sweep | Mapping[str, object] | None, live: bool | None
     ) -> None:
         ds, document, blocks, self.motions = page_contents(ds, over, sweep, live, progress=False)
         self.dataset = on_axes(ds) if START in ds.dims and START in ds.coords else ds

@@ -165,7 +165,7 @@ VARIABLES: dict[str, Variable] = {
     "drift_estimate": Variable(
         "1", "estimated relative distance of period, impact velocity and amplitudes from settled values"
     ),
-    "sensitive": Variable("1", "1 if rounding errors decide which attractor the lane reaches, else 0", np.int8),
+    "sensitive": Variable("1", "1 if numerical errors decide which attractor the lane reaches, else 0", np.int8),
     "status": Variable("1", "whether the lane was computed", np.int8, STATUSES),
     "reason": Variable("1", "reason why the lane failed or was refused", np.int8, REASONS),
     "rate_of_penetration": Variable("m s-1", "rate of penetration"),

@@ -1,4 +1,4 @@
-"""Certificates: error estimates, and lanes whose attractor rounding determines."""
+"""Certificates: error estimates, and lanes whose attractor numerical errors determine."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -195,7 +195,7 @@ the next run."""
 def sensitive(
     engine: Engine, start: Batch, features: Features, apart: Index, lanes_of_run: int
 ) -> Int[np.ndarray, " lanes"]:
-    """Return 1 for each lane whose attractor is determined by rounding error, else 0.
+    """Return 1 for each lane whose attractor numerical errors determine, else 0.
 
     `start`: the lanes at t = 0; `features`: features of the lanes and of their check run; `apart`: numbers of lanes
     whose two runs become periodic at different times, see `ends_differ`; `lanes_of_run`: see `LANE_SECONDS`.

@@ -10,13 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vibrojax.compile.xla import workers
-from vibrojax.lanes.certificate import (
-    ERROR_FLOOR,
-    certified,
-    ends_differ,
-    error_under_pulses,
-    sensitive,
-)
+from vibrojax.lanes.certificate import ERROR_FLOOR, certified, ends_differ, error_under_pulses, sensitive
 from vibrojax.lanes.drift import drift, drift_under_pulses
 from vibrojax.lanes.engine import Batch, Engine
 from vibrojax.lanes.inputs import Features, Index, LaneInputs, LaneResult, Plan, Report, Stage, unreported

@@ -31,9 +31,7 @@ from vibrojax.progress import Progress, timed
 
 
 def run_sweep(
-    source: str | PathLike[str] | Mapping[str, object] | Sweep,
-    progress: bool = True,
-    executor: Executor | None = None,
+    source: str | PathLike[str] | Mapping[str, object] | Sweep, progress: bool = True, executor: Executor | None = None
 ) -> xr.Dataset:
     """Run a sweep and return its dataset.
 

@@ -62,12 +62,7 @@ class Passing(Varied):
     chosen: tuple[Array, ...] = ()
 
     def passing(
-        self,
-        event: Event,
-        functions: list[list[Array]],
-        polynomials: tuple[list[Array], ...],
-        lane: Lane,
-        reach: Array,
+        self, event: Event, functions: list[list[Array]], polynomials: tuple[list[Array], ...], lane: Lane, reach: Array
     ) -> tuple[Event, list[list[Array]]]:
         # Where the motion passes a guard does not depend smoothly on anything, so derivatives are not propagated.
         c, own, series = lax.stop_gradient((event.constants, functions[: len(self.chosen)], polynomials))

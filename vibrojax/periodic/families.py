@@ -24,14 +24,7 @@ from vibrojax.periodic.location import (
 )
 from vibrojax.periodic.newton import spectral_radius
 from vibrojax.periodic.problem import Flags, Index, Points, Problem, towards
-from vibrojax.periodic.segments import (
-    ENDINGS,
-    REJOIN_DISTANCE,
-    SAME_POINT,
-    Mark,
-    Segment,
-    Tracing,
-)
+from vibrojax.periodic.segments import ENDINGS, REJOIN_DISTANCE, SAME_POINT, Mark, Segment, Tracing
 from vibrojax.scenes import Scene
 
 POINT_SPACING = 0.02

@@ -16,15 +16,7 @@ from jaxtyping import Float
 
 from vibrojax.periodic.flow_map import flowed
 from vibrojax.periodic.newton import chain, images_by_lane, shooting_matrix
-from vibrojax.periodic.problem import (
-    FAMILY_ACCURACY,
-    Flags,
-    Index,
-    PerLane,
-    Points,
-    Problem,
-    Unknowns,
-)
+from vibrojax.periodic.problem import FAMILY_ACCURACY, Flags, Index, PerLane, Points, Problem, Unknowns
 from vibrojax.periodic.return_map import Segments
 from vibrojax.scenes import Scene
 

@@ -235,7 +235,7 @@ def certified_text(ds: xr.Dataset) -> str:
         text = counted(within, f"{lanes} is", f"{lanes} are") + f" exact to {counts['error']:g}"
         text += f", {counted(still, 'is', 'are')} still settling" if still else ""
         sensitive = round(counts.get("sensitive", 0))
-        parts.append(text + (f", {counted(sensitive, 'is', 'are')} sensitive to rounding" if sensitive else ""))
+        parts.append(text + (f", {counted(sensitive, 'is', 'are')} sensitive to numerical errors" if sensitive else ""))
     reasons = [name for name in flag_counts(ds, "reason") if name != "none"] if "status" in ds else []
     return ". ".join([*parts, *([f"Lanes failed: {', '.join(reasons)}"] if reasons else [])])
 

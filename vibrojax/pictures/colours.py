@@ -138,7 +138,7 @@ def regime_keys(data: Sequence[xr.DataArray]) -> list[Key]:
     ]
 
 
-SENSITIVE_KEY = dots(label="rounding decides\nthe attractor", marker="x", edge_width=0.8)
+SENSITIVE_KEY = dots(label="numerical errors decide\nthe attractor", marker="x", edge_width=0.8)
 """Legend entry for lanes whose attractor is determined by rounding error."""
 
 

@@ -17,18 +17,7 @@ from vibrojax.pictures.contents import HIDDEN, POINT, REGIME, SENSITIVE, START, 
 from vibrojax.pictures.layout import LEGEND_WIDTH, MOST_PANELS, Facets, at, facets, is_narrow
 from vibrojax.pictures.lines import across, dot_size, lane_dots
 from vibrojax.pictures.overlays import check_borders, codim2_layers, over_map_text, over_panel
-from vibrojax.pictures.plots import (
-    Cells,
-    Layer,
-    Line,
-    Look,
-    Plot,
-    Points,
-    Sheet,
-    colours_of,
-    dots,
-    one_colour,
-)
+from vibrojax.pictures.plots import Cells, Layer, Line, Look, Plot, Points, Sheet, colours_of, dots, one_colour
 from vibrojax.pictures.style import DASHED, NO_VALUE, NOTHING
 
 Values = Sequence[Value]

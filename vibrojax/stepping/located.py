@@ -101,12 +101,7 @@ class Located(Stepper):
         return accuracy._replace(tolerance=accuracy.tolerance * self.coarser_by)
 
     def passing(
-        self,
-        event: Event,
-        functions: list[list[Array]],
-        polynomials: tuple[list[Array], ...],
-        lane: Lane,
-        reach: Array,
+        self, event: Event, functions: list[list[Array]], polynomials: tuple[list[Array], ...], lane: Lane, reach: Array
     ) -> tuple[Event, list[list[Array]]]:
         """Return the event functions of a trial step; a subclass may let the motion pass some of their zeros."""
         return event, functions

@@ -152,10 +152,7 @@ def save_picture(
 
 
 def requested(
-    ds: xr.Dataset,
-    variable: str | Sequence[str] = (),
-    layers: Sequence[xr.Dataset] = (),
-    diagram: str | None = None,
+    ds: xr.Dataset, variable: str | Sequence[str] = (), layers: Sequence[xr.Dataset] = (), diagram: str | None = None
 ) -> Picture:
     """Return the plots of chosen variables, or of a diagram."""
     if diagram is not None:

@@ -240,8 +240,10 @@ def _accuracy(ds: xr.Dataset) -> SummaryPart:
                 plural = "of them are farther than that from where they settle; a longer settle brings them there"
                 lines.append(counted(still, singular, plural))
             if count := int(rounded.sum()):
-                one = "lane is sensitive: rounding decides which attractor it reaches"
-                lines.append(counted(count, one, "lanes are sensitive: rounding decides which attractor they reach"))
+                one = "lane is sensitive: numerical errors decide which attractor it reaches"
+                lines.append(
+                    counted(count, one, "lanes are sensitive: numerical errors decide which attractor they reach")
+                )
     if "regime" in ds and "check_regime" in ds:
         flips = int((ds["regime"].values != ds["check_regime"].values).sum())
         lines.append(f"{flips} of {ds['regime'].size} regimes differ at the check run's coarser resolution")
