@@ -253,7 +253,7 @@ def law_lines(fit: xr.Dataset) -> Sheet:
     strong = bool((fit["evidence_against"] > _MOST_EVIDENCE).any())
     notes = [
         f"Data and curves of {len(groups)} of {count} groups" * (len(groups) < count),
-        f"Fitted along {along}; bars and bands of one standard error of C",
+        f"Fitted along {along}; bars and bands of one standard error of C; a C below its standard error is left out",
         "η = P/D, " + ("the mean force over the threshold" if np.isnan(force) else f"where D is {force / 1e3:.4g} kN"),
         f"Evidence above {limit:g} rejects a form" * bool(fit["evidence_against"].notnull().any()),
         f"Evidence above {_MOST_EVIDENCE:g} is drawn at {_MOST_EVIDENCE:g}" * (longest_axis(fit).name != "" and strong),
@@ -284,7 +284,10 @@ def law_lines(fit: xr.Dataset) -> Sheet:
         return above
     shown = fit.sortby(x.name) if x.is_number else fit
     shown = in_units(shown, _PER_HOUR_OF_LOGS if is_log(fit) else {})
-    kept_c = {name: shown[name].where(shown["standing"] != Standing.REJECTED) for name in ("C", "C_stderr")}
+    # A C below its standard error is not determined, and would stretch the axis.
+    unknown = np.isfinite(shown["C_stderr"]) & (shown["C_stderr"] > abs(shown["C"]))
+    is_kept = (shown["standing"] != Standing.REJECTED) & ~unknown
+    kept_c = {name: shown[name].where(is_kept) for name in ("C", "C_stderr")}
     shown = shown.assign(kept_c | {"evidence_against": np.minimum(shown["evidence_against"], _MOST_EVIDENCE)})
 
     def draw(lines: list[Series], name: str) -> Plot:
@@ -323,7 +326,7 @@ def _group_plot(
     masks = {name: known & (use == flag) for flag, name in flags(group["data_use"]).items() if name in _USES}
     seen = known & (relief > 0) & ~masks["left-out"]
     layers: list[Layer] = [dots(across * relief[x], rate[x], **looks[use]) for use, x in masks.items() if x.any()]
-    axes = Axis(text * is_last), Axis(with_unit("rate of penetration", unit) * (place[1] == 0))
+    axes = Axis(text * is_last, intervals=6), Axis(with_unit("rate of penetration", unit) * (place[1] == 0))
     if not seen.any():
         return Plot(layers, *axes, title, place, at(group))
     low, high, founder = relief[seen].min(), relief[seen].max(), float(group["founder_weight"]) / threshold
