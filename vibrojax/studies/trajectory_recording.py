@@ -20,6 +20,7 @@ from vibrojax.maps.read import Point
 from vibrojax.measures import recorder_for
 from vibrojax.measures.labels import derived
 from vibrojax.measures.recorder import Features, Records
+from vibrojax.periodic.problem import OF_STATES
 from vibrojax.physics.arrays import Array
 from vibrojax.progress import Progress, timed
 from vibrojax.scenes import HasContact, HasFriction, HasRock, Scene
@@ -132,8 +133,8 @@ def constants_at(place: Place, point: Point, stepper: Stepper | None) -> Any:
     given = (0.0,) * len(scene.start_states) if point.start is None or isinstance(point.start, str) else point.start
     for code, fault, mask in scene.start_faults(p, tuple(np.full(1, x) for x in given)):
         if bool(np.ravel(mask)[0]):
-            of_start = code in ("beyond-a-stop", "negative-normal-force", "not-finite")
-            raise place.at("start").error(f"{shown(point.start)}: {fault}") if of_start else place.error(fault)
+            here = place.at("start").error(f"{shown(point.start)}: {fault}")
+            raise here if code in OF_STATES else place.error(fault)
     is_exact = stepper is not None and stepper.rests
     if is_exact and isinstance(scene, HasFriction) and bool(unresolved(scene, point.parameters, "float64")):
         advice = "give a smaller k0, c0, c2 or gamma, or a greater beta"
