@@ -238,7 +238,8 @@ def moves_without(minimum: Minimum, block: LaneBlocks) -> Float[np.ndarray, "blo
     estimate would give far too wide intervals for noise in proportion to the rate. For longer blocks, it is their
     jackknife, to first order a bootstrap of blocks, which also allows for correlated noise.
     """
-    jacobian, residual = minimum.jacobian, minimum.influence
+    order = np.argsort(block, kind="stable")
+    jacobian, residual, block = minimum.jacobian[order], minimum.influence[order], block[order]
     squares = jacobian.T @ jacobian
     # A lane that alone determines a coefficient is fitted exactly: its noise is estimated from the other lanes.
     free = 1 - _TAKEN * np.einsum("li,ij,lj->l", jacobian, np.linalg.pinv(squares, hermitian=True), jacobian)

@@ -359,7 +359,10 @@ def _values(minimum: Minimum, rate: Lanes, block: LaneBlocks | None, decay: Lane
     squares, about_mean = float(np.sum(minimum.residual**2)), float(np.sum((y - y.mean()) ** 2))
     varies = about_mean > rate.size * rop_forms.EXACT**2
     if block is not None and rate.size >= LEAST_ROWS:
-        residual = predictions_without(minimum, y, block)
+        # Blocks of a table in order of the weight would be parts of the curve, and those at its ends extrapolated.
+        rises = np.diff(minimum.relief)
+        in_order = (rises >= 0).all() or (rises <= 0).all()
+        residual = predictions_without(minimum, y, np.arange(y.size) % len(moves) if in_order else block)
         fit["cv_error"] = unit * np.sqrt(np.mean(residual**2))
         fit["evidence_against"] = rate.size * np.log(max(np.mean(whiten(residual, decay) ** 2), _EPSILON**2))
     return fit | {
