@@ -100,6 +100,7 @@ def install(folder, name, group, entry_points):
 WRONG = {
     'Mine sums "stick", and so does Shares; give its sum another name': {"summed": ("stick",)},
     'gauge Mine: increments gave no "way", which is in `summed` of the gauge': {"summed": ("way",)},
+    "gauge Mine: increments fails with TypeError": {"increments": lambda self, moment: {}},
     "Mine declares period, which is a variable of vibrojax; give it another": {"variables": {"period": ("m", "speed")}},
 }
 

@@ -26,10 +26,6 @@ NOT_KNOWN_YET = "uses a function of np on a value that is not known yet; use vj.
 CANNOT_EXPAND = "uses a function that steps cannot expand; use + - * / ** and vj.elementary, not jnp, np or math"
 
 
-_ARGUMENTS = {1: "p", 2: "speed, p", 3: "t, y, p", 4: "t, y, p, s"}
-"""Arguments of functions of users by their number."""
-
-
 class InputError(ValueError):
     """Invalid input from a user; the command line prints the one-line message without a traceback.
 
@@ -143,8 +139,12 @@ def _is_hidden(character: str) -> bool:
     return not " " <= character <= "~" and unicodedata.category(character) in _HIDDEN
 
 
-def asked(what: str, function: Callable[..., Any], *arguments: Any, known: Iterable[str] = ()) -> Any:
+def asked(
+    what: str, function: Callable[..., Any], *arguments: Any, known: Iterable[str] = (), written: str = ""
+) -> Any:
     """Return the value of a function; `what` names it in messages, and `known` are the names it may ask for.
+
+    `written`: the arguments of the function as a user writes them.
 
     **Raises:** `InputError` in place of the function's own exceptions.
     """
@@ -154,8 +154,8 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any, known: Itera
         raise
     except Exception as error:
         problem = problem_of(error, known)
-        if isinstance(error, TypeError) and "positional argument" in problem and _called_by_us(error):
-            problem = f"takes other arguments; write {what.rpartition(' ')[2]}({_ARGUMENTS[len(arguments)]})"
+        if written and isinstance(error, TypeError) and "positional argument" in problem and _called_by_us(error):
+            problem = f"takes other arguments; write {what.rpartition(' ')[2]}({written})"
         raise InputError(f"{what} {problem}") from error
 
 

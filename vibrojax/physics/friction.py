@@ -79,7 +79,7 @@ class FrictionLaw:
 
     def _value(self, name: str, function: Coefficient, speed: Value, p: Numbers) -> Any:
         what = f"friction law {self.name}: {name}"
-        return number_of(what, asked(what, function, speed, p, known=self.parameters))
+        return number_of(what, asked(what, function, speed, p, known=self.parameters, written="speed, p"))
 
 
 def _law(name: str) -> FrictionLaw:

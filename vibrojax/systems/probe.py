@@ -227,7 +227,8 @@ class Probe:
     def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         with np.errstate(all="ignore"):
             known = [*self._states, *self.parameters, *self._sides]
-            return asked(f"system {self._name}: {what}", function, *arguments, known=known)
+            written = {1: "p", 3: "t, y, p", 4: "t, y, p, s"}.get(len(arguments), "")
+            return asked(f"system {self._name}: {what}", function, *arguments, known=known, written=written)
 
     def _number(self, what: str, value: Any) -> Any:
         """Return a number per lane as an array; anything else is refused."""
